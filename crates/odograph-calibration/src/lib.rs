@@ -26,6 +26,6 @@ pub use extrinsics::{
 };
 pub use finder::{BoardFinder, NotFound, nothing_found};
 pub use solver::{
-    BoardPose, BoardShape, CalibratedView, Calibration, CalibrationConfig, Candidate, LensModel, Parameter,
-    Verdict, board_pose, calibrate,
+    BoardPose, BoardShape, CalibratedView, Calibration, CalibrationConfig, LensModel, ModelComparison,
+    Parameter, Verdict, board_pose, calibrate,
 };

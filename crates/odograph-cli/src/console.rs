@@ -41,6 +41,11 @@ pub fn note(sentence: &str) {
     to_person("note", sentence);
 }
 
+/// Prints a line of the log, with the time since the program began.
+pub fn log(since_start_s: f64, sentence: &str) {
+    let _ = writeln!(io::stderr(), "[{since_start_s:8.3} s] {}", harmless(sentence));
+}
+
 /// Writes a line to standard error. A failure to write is ignored.
 fn to_person(kind: &str, sentence: &str) {
     let _ = writeln!(io::stderr(), "{kind}: {}", harmless(sentence));

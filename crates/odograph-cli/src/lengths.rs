@@ -45,6 +45,11 @@ pub fn height(text: &str) -> Result<Height, String> {
 }
 
 impl Height {
+    /// A height that is certainly meant in metres.
+    pub fn in_metres(metres: f64) -> Self {
+        Self { metres, has_unit: true }
+    }
+
     /// A question about a height that was probably meant in another unit.
     fn doubt(self) -> Option<String> {
         let Self { metres, has_unit } = self;

@@ -5,6 +5,7 @@ mod console;
 mod files;
 mod interrupt;
 mod lengths;
+mod profiles;
 
 use clap::{CommandFactory, FromArgMatches, Parser, Subcommand};
 use odograph::error::{ErrorKind, Result};
@@ -26,6 +27,7 @@ enum Command {
     Demo(commands::demo::DemoArguments),
     Run(commands::run::RunArguments),
     Info(commands::info::InfoArguments),
+    Doctor(commands::doctor::DoctorArguments),
     Live(commands::live::LiveArguments),
     View(commands::view::ViewArguments),
     Cameras(commands::cameras::CamerasArguments),
@@ -38,14 +40,15 @@ enum Command {
     Camera(commands::camera::CameraArguments),
     Ground(commands::ground::GroundArguments),
     Map(commands::map::MapArguments),
+    Profile(commands::profile::ProfileArguments),
     Completions(commands::completions::CompletionsArguments),
 }
 
 /// The commands as the first help shows them: grouped by purpose.
 const GROUPS: [(&str, &[&str]); 5] = [
-    ("Follow a camera", &["demo", "info", "run", "live", "view"]),
+    ("Follow a camera", &["demo", "info", "doctor", "run", "live", "view"]),
     ("Use maps", &["localize", "map"]),
-    ("Set up a camera", &["board", "calibrate", "ground", "camera", "cameras"]),
+    ("Set up a camera", &["board", "calibrate", "ground", "camera", "cameras", "profile"]),
     ("Try and judge", &["simulate", "evaluate", "undistort"]),
     ("More", &["completions"]),
 ];
@@ -98,6 +101,7 @@ fn main() -> ExitCode {
         Command::Demo(arguments) => commands::demo::demo(arguments),
         Command::Run(arguments) => commands::run::run(arguments),
         Command::Info(arguments) => commands::info::info(arguments),
+        Command::Doctor(arguments) => commands::doctor::doctor(arguments),
         Command::Live(arguments) => commands::live::live(arguments),
         Command::View(arguments) => commands::view::view(arguments),
         Command::Cameras(arguments) => commands::cameras::cameras(arguments),
@@ -110,6 +114,7 @@ fn main() -> ExitCode {
         Command::Camera(arguments) => commands::camera::camera(arguments),
         Command::Ground(arguments) => commands::ground::ground(arguments),
         Command::Map(arguments) => commands::map::map(arguments),
+        Command::Profile(arguments) => commands::profile::profile(arguments),
         Command::Completions(arguments) => commands::completions::completions(arguments),
     };
     match outcome {

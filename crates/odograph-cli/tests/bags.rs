@@ -25,9 +25,9 @@ fn odograph(folder: &Path, arguments: &str) -> Output {
 
 fn done(folder: &Path, arguments: &str) -> (String, String) {
     let output = odograph(folder, arguments);
-    let told = String::from_utf8_lossy(&output.stderr).into_owned();
-    assert!(output.status.success(), "{arguments}: {told}");
-    (String::from_utf8(output.stdout).unwrap(), told)
+    let message = String::from_utf8_lossy(&output.stderr).into_owned();
+    assert!(output.status.success(), "{arguments}: {message}");
+    (String::from_utf8(output.stdout).unwrap(), message)
 }
 
 /// The time of a frame, nanoseconds.
@@ -224,7 +224,7 @@ fn a_run_over_a_recording_is_the_run_over_its_frames() {
     done(here, "run chosen/run.toml -o again --quiet");
     assert_eq!(fs::read_to_string(here.join("again/trajectory.tum")).unwrap(), trajectory);
 
-    // What is missing or too much is told in a sentence.
+    // What is missing or too much is reported in one sentence.
     for (arguments, words) in [
         (
             "run two.mcap --height 1.0",
@@ -240,11 +240,11 @@ fn a_run_over_a_recording_is_the_run_over_its_frames() {
         ("run drive.mcap --height 1.0 --range-topic /sonar --range range.csv", "cannot be used with"),
     ] {
         let output = odograph(here, &format!("{arguments} -o refused"));
-        let told = String::from_utf8_lossy(&output.stderr).into_owned();
-        assert!(output.status.code() == Some(2) && told.contains(words), "{arguments}: {told}");
+        let message = String::from_utf8_lossy(&output.stderr).into_owned();
+        assert!(output.status.code() == Some(2) && message.contains(words), "{arguments}: {message}");
     }
-    let (_, told) = done(here, "run drive.mcap --height 1.0 --range-topic /sonar -o ranged");
-    assert!(!told.contains("error"), "{told}");
+    let (_, message) = done(here, "run drive.mcap --height 1.0 --range-topic /sonar -o ranged");
+    assert!(!message.contains("error"), "{message}");
     let statistics = fs::read_to_string(here.join("ranged/stats.json")).unwrap();
     assert!(statistics.contains("\"sensors\""), "{statistics}");
 }
@@ -263,13 +263,13 @@ fn the_mount_is_taken_from_the_transforms_of_a_recording() {
     let level = |z: f64| [0.0, 0.0, z, 0.0, 0.0, 0.0, 1.0];
     let robot = [("base_footprint", "base_link", level(0.2)), ("base_link", "camera", looking_down(0.8))];
     write_robot(&here.join("robot.mcap"), &["/front/image_raw"], &robot, &[]);
-    let (_, told) = done(here, "run robot.mcap -o robot");
+    let (_, message) = done(here, "run robot.mcap -o robot");
     assert!(
-        told.contains(
+        message.contains(
             "note: camera in base_link, from /tf_static: x 0.300 m, y 0.050 m, z 0.800 m, roll 0.0°, pitch 0.0°, \
              yaw 0.0°; height 1.000 m over base_footprint (--rig overrides)\n"
         ),
-        "{told}"
+        "{message}"
     );
     done(here, "run robot.mcap --frame camera -o camera --quiet");
     let (robot_poses, camera) =
@@ -285,14 +285,14 @@ fn the_mount_is_taken_from_the_transforms_of_a_recording() {
     let last = poses(&here.join("high/trajectory.tum")).pop().unwrap();
     assert!((last[3] - 1.2).abs() < 5e-3, "{last:?}");
     fs::write(here.join("rig.toml"), "height_m = 1.0").unwrap();
-    let (_, told) = done(here, "run robot.mcap --rig rig.toml -o given");
-    assert!(!told.contains("tf_static"), "{told}");
+    let (_, message) = done(here, "run robot.mcap --rig rig.toml -o given");
+    assert!(!message.contains("tf_static"), "{message}");
 
     // The frame of a camera that is not its optical frame looks ahead.
     let ahead = [("base_link", "camera", level(0.8))];
     write_robot(&here.join("ahead.mcap"), &["/front/image_raw"], &ahead, &[]);
-    let (_, told) = done(here, "run ahead.mcap --height 1.0 -o ahead");
-    assert!(told.contains("warning: the transforms of ahead.mcap are not used"), "{told}");
+    let (_, message) = done(here, "run ahead.mcap --height 1.0 -o ahead");
+    assert!(message.contains("warning: the transforms of ahead.mcap are not used"), "{message}");
     let first = &poses(&here.join("ahead/trajectory.tum"))[0];
     assert!((first[3] - 1.0).abs() < 1e-6, "{first:?}");
 }
@@ -344,8 +344,8 @@ fn a_run_is_written_as_a_bag_of_ros_2() {
             "/odometry" => {
                 assert_eq!((cdr.text().as_str(), cdr.text().as_str()), ("odom", "base_link"));
                 let (pose, covariance) = (cdr.doubles(7), cdr.doubles(36));
-                for (told, written) in pose.iter().zip(&odometry[*at][1..]) {
-                    assert!((told - written).abs() < 1e-6, "{pose:?} {:?}", odometry[*at]);
+                for (recorded, written) in pose.iter().zip(&odometry[*at][1..]) {
+                    assert!((recorded - written).abs() < 1e-6, "{pose:?} {:?}", odometry[*at]);
                 }
                 let symmetric =
                     (0..36).all(|k| (covariance[k] - covariance[k % 6 * 6 + k / 6]).abs() < 1e-15);
@@ -362,12 +362,12 @@ fn a_run_is_written_as_a_bag_of_ros_2() {
             }
             "/tf_static" => {
                 assert_eq!((count, cdr.text().as_str(), cdr.text().as_str()), (1, "base_link", "camera"));
-                let (told, given) = (cdr.doubles(7), looking_down(0.8));
+                let (recorded, given) = (cdr.doubles(7), looking_down(0.8));
                 // A quaternion and its negative are the same rotation.
-                let sign = told[3].signum() * given[3].signum();
-                for (k, (told, given)) in told.iter().zip(given).enumerate() {
-                    let told = if k < 3 { *told } else { sign * told };
-                    assert!((told - given).abs() < 1e-9, "{k}: {told} {given}");
+                let sign = recorded[3].signum() * given[3].signum();
+                for (k, (recorded, given)) in recorded.iter().zip(given).enumerate() {
+                    let recorded = if k < 3 { *recorded } else { sign * recorded };
+                    assert!((recorded - given).abs() < 1e-9, "{k}: {recorded} {given}");
                 }
                 assert!(channel.metadata["offered_qos_profiles"].contains("durability: 1"));
             }
@@ -385,8 +385,8 @@ fn a_run_is_written_as_a_bag_of_ros_2() {
     assert!(text.contains("/odometry  nav_msgs/msg/Odometry, 40 messages"), "{text}");
     // It is not overwritten unasked.
     let output = odograph(here, "run robot.mcap --height 1.0 --bag-out poses.mcap -o other");
-    let told = String::from_utf8_lossy(&output.stderr).into_owned();
-    assert!(output.status.code() == Some(2) && told.contains("poses.mcap is already there"), "{told}");
+    let message = String::from_utf8_lossy(&output.stderr).into_owned();
+    assert!(output.status.code() == Some(2) && message.contains("poses.mcap is already there"), "{message}");
     assert!(!here.join("other").exists());
 }
 
@@ -423,7 +423,11 @@ fn info_tells_what_is_in_a_recording_and_what_for() {
         "{text}"
     );
     let (text, _) = done(here, "info frames");
-    assert!(text.contains("320x240, 3 frames\n") && text.contains("    odograph run frames\n"), "{text}");
+    assert!(
+        text.contains("320x240, 3 frames\n")
+            && text.contains("    odograph run frames --camera FILE --height LENGTH\n"),
+        "{text}"
+    );
     let output = odograph(here, "info camera.yaml");
     assert_eq!(output.status.code(), Some(3));
 }

@@ -35,9 +35,9 @@ fn the_png_has_the_exact_size_of_the_board() {
     // 254 dpi are ten pixels per millimetre.
     let done = board(temporary.path(), "b.png", &["--board", "chessboard:9x6:25mm", "--dpi", "254"]);
     assert_eq!(done.status.code(), Some(0), "{done:?}");
-    let told = String::from_utf8(done.stdout).unwrap();
-    assert!(told.contains("pattern 250 x 175 mm on A4 paper (297 x 210 mm), across"), "{told}");
-    assert!(told.contains("100 mm"), "{told}");
+    let message = String::from_utf8(done.stdout).unwrap();
+    assert!(message.contains("pattern 250 x 175 mm on A4 paper (297 x 210 mm), across"), "{message}");
+    assert!(message.contains("100 mm"), "{message}");
     let (samples, (width, height), pixels_per_metre) = png(&temporary.path().join("b.png"));
     assert_eq!((width, height, pixels_per_metre), (2970, 2100, 10_000));
     // The first row of squares, 250 pixels each, between its outer ends.

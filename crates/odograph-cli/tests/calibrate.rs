@@ -52,13 +52,16 @@ impl CalibrationFolder {
     fn refused(&self, arguments: &str, code: i32, words: &[&str]) {
         let before = names(self.temporary.path());
         let done = self.calibrate(arguments);
-        let told = String::from_utf8(done.stderr).unwrap();
-        assert_eq!(done.status.code(), Some(code), "`{arguments}` told: {told}");
+        let outcome = String::from_utf8(done.stderr).unwrap();
+        assert_eq!(done.status.code(), Some(code), "`{arguments}` outcome: {outcome}");
         assert!(
-            words.iter().all(|words| told.contains(words)),
-            "`{arguments}` did not tell {words:?} but: {told}"
+            words.iter().all(|words| outcome.contains(words)),
+            "`{arguments}` did not tell {words:?} but: {outcome}"
         );
-        assert!(told.lines().count() == 1 && !told.contains("panicked"), "`{arguments}` told: {told}");
+        assert!(
+            outcome.lines().count() == 1 && !outcome.contains("panicked"),
+            "`{arguments}` outcome: {outcome}"
+        );
         assert!(done.stdout.is_empty(), "{:?}", String::from_utf8_lossy(&done.stdout));
         assert_eq!(names(self.temporary.path()), before, "`{arguments}` left something behind");
     }
@@ -76,9 +79,10 @@ fn names(folder: &Path) -> Vec<String> {
 /// Asserts that the result is complete, and close to the true camera within the accuracy of some
 /// twenty small images.
 fn assert_calibrated(place: &CalibrationFolder, name: &str, done: &Output) {
-    let told = format!("{}{}", String::from_utf8_lossy(&done.stdout), String::from_utf8_lossy(&done.stderr));
-    assert_eq!(done.status.code(), Some(0), "{told}");
-    assert_eq!(names(&place.path(&format!("{name}-report"))), REPORT, "{told}");
+    let outcome =
+        format!("{}{}", String::from_utf8_lossy(&done.stdout), String::from_utf8_lossy(&done.stderr));
+    assert_eq!(done.status.code(), Some(0), "{outcome}");
+    assert_eq!(names(&place.path(&format!("{name}-report"))), REPORT, "{outcome}");
     let text = fs::read_to_string(place.path(&format!("{name}.yaml"))).unwrap();
     let found = camera_file::parse(&text, None).unwrap();
     let truth = camera();
@@ -283,8 +287,8 @@ fn a_full_disk_leaves_nothing_half_written() {
         fs::create_dir(place.path("camera-report")).unwrap();
         std::os::unix::fs::symlink("/dev/full", place.path(&format!("camera-report/{name}.part"))).unwrap();
         let done = place.calibrate(&format!("shots --board {BOARD} -o camera.yaml --model brown4"));
-        let told = String::from_utf8(done.stderr).unwrap();
-        assert!(done.status.code() == Some(3) && told.contains("No space left on device"), "{told}");
+        let outcome = String::from_utf8(done.stderr).unwrap();
+        assert!(done.status.code() == Some(3) && outcome.contains("No space left on device"), "{outcome}");
         assert!(!place.path("camera.yaml").exists());
         assert!(names(&place.path("camera-report")).iter().all(|name| !name.ends_with(".part")));
         fs::remove_dir_all(place.path("camera-report")).unwrap();
@@ -315,8 +319,8 @@ fn an_interrupt_calibrates_with_the_views_so_far() {
         while child.try_wait().unwrap().is_none() && input.write_all(&stream[header..]).is_ok() {}
         drop(input);
         let done = child.wait_with_output().unwrap();
-        let told = String::from_utf8_lossy(&done.stderr).into_owned();
-        assert!(told.contains("warning: interrupted: only the first"), "{told}");
+        let outcome = String::from_utf8_lossy(&done.stderr).into_owned();
+        assert!(outcome.contains("warning: interrupted: only the first"), "{outcome}");
         assert_calibrated(&place, "camera", &done);
     }
 }
@@ -371,12 +375,12 @@ fn live_calibration_guides_until_the_result_is_good() {
         place.command(&format!("--live - --board {BOARD} --model brown4 --serve 127.0.0.1:0 -o"));
     let mut camera = watching::WatchedCamera::start(command.arg("my camera.yaml"), (320, 240));
     let pictures = pictures(&scene(), 40);
-    let told = camera.hold(&pictures[0]);
-    assert!(told["why"].is_null() && told["with_board"] == 1 && told["looked_at"] == 2, "{told}");
+    let outcome = camera.hold(&pictures[0]);
+    assert!(outcome["why"].is_null() && outcome["with_board"] == 1 && outcome["looked_at"] == 2, "{outcome}");
     pictures[1..6].iter().for_each(|picture| drop(camera.hold(picture)));
-    let mut told = camera.guided(&pictures[6]);
-    let missing = |told: &serde_json::Value| told["missing"].as_array().unwrap().len();
-    assert!(missing(&told) > 0 && told["views"].as_u64().unwrap() > 2, "{told}");
+    let mut outcome = camera.guided(&pictures[6]);
+    let missing = |outcome: &serde_json::Value| outcome["missing"].as_array().unwrap().len();
+    assert!(missing(&outcome) > 0 && outcome["views"].as_u64().unwrap() > 2, "{outcome}");
     let mut browser = browser::Browser::start()
         .map_err(|why| println!("skipped: chromium: no look at the page: {why}"))
         .ok();
@@ -386,7 +390,7 @@ fn live_calibration_guides_until_the_result_is_good() {
         camera.hold(&pictures[6]);
         browser.wait(page, "document.body.dataset.pictures > 0");
         let hint = browser.evaluate(page, "document.querySelector('#missing li').textContent");
-        assert_eq!(hint, told["missing"][0]);
+        assert_eq!(hint, outcome["missing"][0]);
         browser.picture(page, "calibrate-desktop-light");
         browser.look(page, (390, 844), true);
         browser
@@ -395,11 +399,11 @@ fn live_calibration_guides_until_the_result_is_good() {
         browser.look(page, (1280, 800), false);
     }
     for picture in &pictures[7..] {
-        told = camera.hold_still(picture);
+        outcome = camera.hold_still(picture);
     }
     // It ends by itself with nothing missing, independent of the duration.
-    let told = camera.until_it_ends(told, &pictures[39]);
-    assert_eq!((&told["verdict"], missing(&told)), (&"good".into(), 0), "{told}");
+    let outcome = camera.until_it_ends(outcome, &pictures[39]);
+    assert_eq!((&outcome["verdict"], missing(&outcome)), (&"good".into(), 0), "{outcome}");
     if let (Some(browser), Some(page)) = (&mut browser, &page) {
         browser
             .wait(page, "document.body.dataset.verdict == 'good' && document.body.dataset.phase == 'saved'");

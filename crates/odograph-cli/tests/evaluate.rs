@@ -185,11 +185,11 @@ fn incomparable_trajectories_are_refused_in_one_sentence() {
         (&["estimate.tum"], 2, "TRUTH"),
     ] {
         let output = odograph(arguments, &folder);
-        let told = String::from_utf8_lossy(&output.stderr);
-        assert_eq!(output.status.code(), Some(code), "{arguments:?}: {told}");
-        assert!(told.contains(part), "{part:?} is not in: {told}");
+        let message = String::from_utf8_lossy(&output.stderr);
+        assert_eq!(output.status.code(), Some(code), "{arguments:?}: {message}");
+        assert!(message.contains(part), "{part:?} is not in: {message}");
         assert!(output.stdout.is_empty(), "{arguments:?} printed a result");
-        assert!(code != 3 || told.lines().count() == 1, "{told}");
+        assert!(code != 3 || message.lines().count() == 1, "{message}");
     }
 }
 

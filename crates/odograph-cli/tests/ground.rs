@@ -130,7 +130,7 @@ fn unsuitable_input_is_refused_in_one_sentence() {
         (vec![&floor, "--board", BOARD, "--thickness", "5"], 2, "not a length with its unit"),
         (vec![&floor, "--board", BOARD, "--forward", "up"], 2, "no direction of the board"),
         (vec![&floor, "--board", BOARD, "--height", "1"], 2, "cannot be used with"),
-        (vec![&floor], 2, "driving alone does not tell the height"),
+        (vec![&floor], 2, "driving alone does not determine the height"),
         (vec![&floor, &bare, "--height", "1"], 2, "give one recording"),
         (vec![&floor, "--height", "1"], 3, "enough movement"),
         (vec![&floor, "--distance", "-3"], 2, "a distance of -3 m"),
@@ -186,11 +186,11 @@ fn a_run_estimates_an_unknown_mount_tilt() {
         let statistics: serde_json::Value = serde_json::from_slice(&done.stdout).unwrap();
         (statistics, said(&done), fs::read(format!("{output}/odometry.tum")).unwrap())
     };
-    let (told, _, path_told) = run(&path("told"), &["--rig", &rig]);
+    let (outcome, _, given_path) = run(&path("told"), &["--rig", &rig]);
     let (found, warning, path_found) = run(&path("found"), &["--height", "0.75", "--threads", "1"]);
     let (insisted, _, path_insisted) = run(&path("insisted"), &["--height", "0.75", "--motion", "rigid"]);
     // No mount is estimated if the given one is correct, or with the motion model `rigid`.
-    assert!(told["mount"].is_null() && insisted["mount"].is_null(), "{told} {insisted}");
+    assert!(outcome["mount"].is_null() && insisted["mount"].is_null(), "{outcome} {insisted}");
     let degrees = |key: &str| found["mount"][key].as_f64().unwrap();
     let off = (degrees("roll_deg") - 3.0).hypot(degrees("pitch_deg") + 2.5);
     // The path is 5 m long, and the image has half the width for which 0.05° is required.
@@ -204,7 +204,7 @@ fn a_run_estimates_an_unknown_mount_tilt() {
             text.lines().last().unwrap().split_whitespace().map(|word| word.parse().unwrap()).collect();
         (last[1], last[2])
     };
-    let off = |path: &[u8]| (end(path).0 - end(&path_told).0).hypot(end(path).1 - end(&path_told).1);
+    let off = |path: &[u8]| (end(path).0 - end(&given_path).0).hypot(end(path).1 - end(&given_path).1);
     // Nearly the same path; an uncorrected tilt error of 4° bends it by 2 cm before loop closures
     // correct it.
     assert!(
@@ -214,9 +214,9 @@ fn a_run_estimates_an_unknown_mount_tilt() {
         off(&path_insisted)
     );
     // Frames from before a restart are neither in the results nor in the map.
-    assert_eq!(found["frames"], told["frames"]);
+    assert_eq!(found["frames"], outcome["frames"]);
     let table = fs::read_to_string(path("found/trajectory.csv")).unwrap();
-    assert_eq!(table.lines().count() as u64, told["frames"].as_u64().unwrap() + 1);
+    assert_eq!(table.lines().count() as u64, outcome["frames"].as_u64().unwrap() + 1);
     // Any number of threads gives the same bytes, and so does a repetition of the plan, which
     // contains the rig.
     let (_, _, side_by_side) = run(&path("threads"), &["--height", "0.75", "--threads", "3"]);
@@ -268,10 +268,13 @@ fn a_run_estimates_an_unknown_lens_distortion() {
         let statistics: serde_json::Value = serde_json::from_slice(&done.stdout).unwrap();
         (statistics, said(&done), fs::read_to_string(format!("{output}/trajectory.tum")).unwrap())
     };
-    let (told, _, path_told) = run(&path("drive/camera.yaml"), &path("told"), &[]);
+    let (outcome, _, given_path) = run(&path("drive/camera.yaml"), &path("told"), &[]);
     let (found, warning, path_found) = run(&path("guess.yaml"), &path("found"), &["--threads", "1"]);
     let (_, _, path_insisted) = run(&path("guess.yaml"), &path("insisted"), &["--motion", "rigid"]);
-    assert!(told["lens"].is_null() && !temporary.path().join("told/camera-found.yaml").exists(), "{told}");
+    assert!(
+        outcome["lens"].is_null() && !temporary.path().join("told/camera-found.yaml").exists(),
+        "{outcome}"
+    );
     assert!(warning.contains("not with k1 +0.00000, k2 +0.00000"), "{warning}");
     // 14 px at the image corner; estimated to a tenth of a pixel, as its standard deviation states.
     let number = |key: &str| found["lens"][key].as_f64().unwrap();
@@ -288,7 +291,7 @@ fn a_run_estimates_an_unknown_lens_distortion() {
             |(a, b): (Vec<f64>, Vec<f64>)| (1..4).map(|k| (a[k] - b[k]).powi(2)).sum::<f64>().sqrt();
         both.map(distance).fold(0.0, f64::max)
     };
-    let off = |path: &str| apart(path, &path_told);
+    let off = |path: &str| apart(path, &given_path);
     // From such a short recording radial distortion can be estimated, but not tangential distortion
     // (p1 and p2), which leaves 2 mm.
     assert!(

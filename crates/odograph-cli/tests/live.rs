@@ -155,8 +155,8 @@ fn an_http_camera_is_tracked_across_a_reconnect() {
     server.join().unwrap();
     // A camera that does not come back counts as bad input; all results so far are in the folder.
     assert_eq!(done.status.code(), Some(3));
-    let told = String::from_utf8_lossy(&done.stderr);
-    assert!(told.contains("went away") && told.contains("did not come back within 1 s"), "{told}");
+    let message = String::from_utf8_lossy(&done.stderr);
+    assert!(message.contains("went away") && message.contains("did not come back within 1 s"), "{message}");
     let figures = statistics(&place.path("out"));
     assert_eq!(figures["live"]["reconnects"], json!(2 - 1), "{figures}");
     // All frames were received over both connections; the number of tracked ones depends on the
@@ -188,12 +188,12 @@ fn an_rtsp_camera_is_tracked_across_a_reconnect() {
     // Both times the requests were in the order of the protocol, over TCP.
     assert_eq!(server.asked(), ["OPTIONS", "DESCRIBE", "SETUP", "PLAY"].repeat(2));
     assert_eq!(done.status.code(), Some(3));
-    let told = String::from_utf8_lossy(&done.stderr);
+    let message = String::from_utf8_lossy(&done.stderr);
     assert!(
-        told.contains(&format!("rtsp://{address}/floor went away")) && told.contains("within 1 s"),
-        "{told}"
+        message.contains(&format!("rtsp://{address}/floor went away")) && message.contains("within 1 s"),
+        "{message}"
     );
-    assert!(!told.contains("secret"), "{told}");
+    assert!(!message.contains("secret"), "{message}");
     let figures = statistics(&place.path("out"));
     assert_eq!(figures["live"]["reconnects"], json!(1), "{figures}");
     // Each time ffmpeg spends the first second on probing the stream, and starts with the next
@@ -219,10 +219,10 @@ fn a_killed_run_keeps_its_results_and_can_be_viewed() {
         .unwrap();
     let mut lines = BufReader::new(program.stdout.take().unwrap()).lines();
     // Two seconds of frames were printed; at most the last second of them may be missing.
-    let told = lines.by_ref().take(60).count();
+    let received = lines.by_ref().take(60).count();
     program.kill().unwrap();
     program.wait().unwrap();
-    assert_eq!(told, 60);
+    assert_eq!(received, 60);
     let table = String::from_utf8(place.read("out/trajectory.csv.part")).unwrap();
     let kept = table.lines().count() - 1;
     assert!(kept >= 30, "{kept} of 60 frames");
@@ -240,7 +240,7 @@ fn a_killed_run_keeps_its_results_and_can_be_viewed() {
     assert_eq!(state["status"]["captured"], json!(keyframes.len()));
     let begun = std::time::Instant::now();
     while view.answer("/tiles/0/0.png").is_err() {
-        assert!(begun.elapsed() < Duration::from_secs(60), "no ground was laid");
+        assert!(begun.elapsed() < Duration::from_secs(60), "no ground was rendered");
     }
     view.end();
 }
@@ -296,7 +296,7 @@ fn invalid_sources_are_refused_in_one_sentence() {
     };
     std::fs::write(place.path("text.gpkg"), "no map").unwrap();
     assert!(view("text.gpkg").contains("text.gpkg"));
-    assert!(view("nowhere").contains("nowhere is not the folder of a run"));
+    assert!(view("nowhere").contains("nowhere: there is no such folder or file"));
 }
 
 #[test]

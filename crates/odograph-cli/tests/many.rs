@@ -34,8 +34,8 @@ fn a_folder_of_videos_gives_the_results_of_single_runs() {
     let camera = "--camera one/camera.yaml --rig one/rig.toml";
     done(here, &format!("run videos/two.y4m {camera} -o alone --threads 1 --quiet"));
     let all = odograph(here, &format!("run videos {camera} -o all --threads 2"));
-    let told = String::from_utf8_lossy(&all.stdout).into_owned();
-    assert!(all.status.success() && told.contains("2 of 2 recordings followed"), "{told}");
+    let message = String::from_utf8_lossy(&all.stdout).into_owned();
+    assert!(all.status.success() && message.contains("2 of 2 recordings followed"), "{message}");
     for name in ["trajectory.tum", "trajectory.csv", "mosaic.png", "map.svg", "report.html"] {
         let read = |folder: &str| fs::read(here.join(folder).join(name)).unwrap();
         assert!(read("alone") == read("all/two"), "{name} differs");
@@ -46,8 +46,8 @@ fn a_folder_of_videos_gives_the_results_of_single_runs() {
     fs::write(here.join("broken.mp4"), b"no video").unwrap();
     let some = odograph(here, &format!("run broken.mp4 videos/one.y4m {camera} -o some --json"));
     assert_eq!(some.status.code(), Some(3));
-    let told = String::from_utf8_lossy(&some.stderr).into_owned();
-    assert!(told.contains("broken.mp4") && told.contains("1 of 2 recordings"), "{told}");
+    let message = String::from_utf8_lossy(&some.stderr).into_owned();
+    assert!(message.contains("broken.mp4") && message.contains("1 of 2 recordings"), "{message}");
     let figures: serde_json::Value = serde_json::from_slice(&some.stdout).unwrap();
     assert!(figures[0]["error"].is_string() && figures[1]["statistics"]["frames"] == 21, "{figures}");
     assert!(here.join("some/one/trajectory.tum").is_file() && !here.join("some/broken").exists());

@@ -48,7 +48,7 @@ fn map_bytes() -> Vec<u8> {
         path.push(PathFrame { frame: number, segment: 0, time_s: number as f64, pose: ground::pose(number) });
     }
     map.set_path(session, &path).unwrap();
-    map.lay_mosaic(None, &mut |_| true).unwrap();
+    map.render_mosaic(None, &mut |_| true).unwrap();
     map.close().unwrap();
     fs::read(folder.path().join("map.gpkg")).unwrap()
 }
@@ -61,15 +61,15 @@ fn text(output: &Output) -> (i32, String, String) {
 #[test]
 fn info_lists_the_contents_of_a_map() {
     let folder = made();
-    let (code, told, complaints) = text(&odograph(&["info", "map.gpkg", "--check"], folder.path()));
+    let (code, message, complaints) = text(&odograph(&["info", "map.gpkg", "--check"], folder.path()));
     assert_eq!((code, complaints.as_str()), (0, ""));
     for part in
         ["12 in 1 piece,", "9 odometry, 2 gaps, 0 loops", "session 0  drive & home.mp4", "no damage found"]
     {
-        assert!(told.contains(part), "{part:?} is not in\n{told}");
+        assert!(message.contains(part), "{part:?} is not in\n{message}");
     }
-    let (code, told, _) = text(&odograph(&["info", "map.gpkg", "--json"], folder.path()));
-    let json: serde_json::Value = serde_json::from_str(&told).unwrap();
+    let (code, message, _) = text(&odograph(&["info", "map.gpkg", "--json"], folder.path()));
+    let json: serde_json::Value = serde_json::from_str(&message).unwrap();
     assert_eq!((code, &json["keyframes"], &json["sessions"][0]["frames"]), (0, &12.into(), &12.into()));
     assert_eq!(json["features"], 240);
 }
@@ -90,10 +90,10 @@ fn a_map_in_use_is_read_but_not_written() {
         fs::write(folder.path().join(other), &before).unwrap();
     }
     for arguments in refused {
-        let (code, told, complaint) = text(&odograph(arguments, folder.path()));
+        let (code, message, complaint) = text(&odograph(arguments, folder.path()));
         let holder =
             format!("map.gpkg: the map is being written by another program (process {})", std::process::id());
-        assert!(code == 3 && told.is_empty() && complaint.contains(&holder), "{arguments:?}: {complaint}");
+        assert!(code == 3 && message.is_empty() && complaint.contains(&holder), "{arguments:?}: {complaint}");
         assert_eq!(complaint.lines().count(), 1, "{complaint}");
     }
     for arguments in [&["info", "map.gpkg", "--check"][..], &["export", "map.gpkg", "-o", "path.tum"]] {
@@ -117,14 +117,18 @@ fn distant_ground_is_exported_with_bounded_size() {
         keyframe.pose.y_m += 1e6 * number as f64;
         map.add_keyframe(&keyframe, &ground::image(number), &[]).unwrap();
     }
-    assert!(map.lay_mosaic(Some(0.01), &mut |_| true).unwrap());
+    assert!(map.render_mosaic(Some(0.01), &mut |_| true).unwrap());
     map.close().unwrap();
     for (name, most_bytes) in [("floor.ply", 60_000_000), ("floor.tif", 300_000_000)] {
-        let (code, told, complaint) = text(&odograph(&["export", "map.gpkg", "-o", name], folder.path()));
+        let (code, message, complaint) = text(&odograph(&["export", "map.gpkg", "-o", name], folder.path()));
         assert_eq!((code, complaint.as_str()), (0, ""), "{name}");
         let bytes = fs::metadata(folder.path().join(name)).unwrap().len();
-        assert!(bytes > 1000 && bytes < most_bytes, "{name}: {bytes} bytes, {told}");
-        assert_eq!(told.contains("too far apart for a picture that fine"), name.ends_with("tif"), "{told}");
+        assert!(bytes > 1000 && bytes < most_bytes, "{name}: {bytes} bytes, {message}");
+        assert_eq!(
+            message.contains("too far apart for a picture that fine"),
+            name.ends_with("tif"),
+            "{message}"
+        );
     }
 }
 
@@ -132,9 +136,9 @@ fn distant_ground_is_exported_with_bounded_size() {
 fn exported_trajectories_equal_the_stored_one() {
     let folder = made();
     for name in ["path.tum", "path.kitti", "path.csv"] {
-        let (code, told, complaints) = text(&odograph(&["export", "map.gpkg", "-o", name], folder.path()));
+        let (code, message, complaints) = text(&odograph(&["export", "map.gpkg", "-o", name], folder.path()));
         assert_eq!((code, complaints.as_str()), (0, ""), "{name}");
-        assert!(told.starts_with("12 poses"), "{told}");
+        assert!(message.starts_with("12 poses"), "{message}");
     }
     let read = |name: &str| fs::read_to_string(folder.path().join(name)).unwrap();
     let tum = trajectory_file::parse_tum(&read("path.tum")).unwrap();
@@ -154,7 +158,7 @@ fn exported_trajectories_equal_the_stored_one() {
 #[test]
 fn points_are_written_with_their_colours() {
     let folder = made();
-    let (code, told, complaints) =
+    let (code, message, complaints) =
         text(&odograph(&["export", "map.gpkg", "-o", "ground.ply", "--max-points", "20000"], folder.path()));
     assert_eq!((code, complaints.as_str()), (0, ""));
     let bytes = fs::read(folder.path().join("ground.ply")).unwrap();
@@ -162,12 +166,12 @@ fn points_are_written_with_their_colours() {
     let header = String::from_utf8(bytes[..end].to_vec()).unwrap();
     let count: usize =
         header.lines().find_map(|line| line.strip_prefix("element vertex ")).unwrap().parse().unwrap();
-    assert!(told.starts_with(&format!("{} points of ground, 12 cameras", count - 12)), "{told}");
+    assert!(message.starts_with(&format!("{} points of ground, 12 cameras", count - 12)), "{message}");
     assert!(count > 5000 && count <= 20_012 && bytes.len() - end == 27 * count);
     let few = ["export", "map.gpkg", "-o", "few.ply", "--max-points", "100"];
-    let (_, told, _) = text(&odograph(&few, folder.path()));
-    let points: usize = told.split(' ').next().unwrap().parse().unwrap();
-    assert!(points > 50 && points <= 100, "fewer than even the coarsest picture has pixels: {told}");
+    let (_, message, _) = text(&odograph(&few, folder.path()));
+    let points: usize = message.split(' ').next().unwrap().parse().unwrap();
+    assert!(points > 50 && points <= 100, "fewer than even the coarsest picture has pixels: {message}");
     let last = &bytes[bytes.len() - 27..];
     assert_eq!((f64::from_le_bytes(last[16..24].try_into().unwrap()), &last[24..]), (0.5, &[255, 0, 0][..]));
 }
@@ -215,10 +219,10 @@ fn points_of_a_colmap_model_project_onto_their_observations() {
 #[test]
 fn the_mosaic_is_redrawn_at_the_requested_resolution() {
     let folder = made();
-    let (code, told, complaints) =
+    let (code, message, complaints) =
         text(&odograph(&["mosaic", "map.gpkg", "--resolution", "0.01", "-o", "floor.png"], folder.path()));
     assert_eq!((code, complaints.as_str()), (0, ""));
-    assert!(told.ends_with("px of 10.00 mm\n"), "{told}");
+    assert!(message.ends_with("px of 10.00 mm\n"), "{message}");
     let world = fs::read_to_string(folder.path().join("floor.pgw")).unwrap();
     assert!(world.starts_with("0.01\n0.0\n0.0\n-0.01\n"), "{world}");
     let left: f64 = world.lines().nth(4).unwrap().parse().unwrap();
@@ -228,32 +232,32 @@ fn the_mosaic_is_redrawn_at_the_requested_resolution() {
 
     // Much finer than the images: the message states the resolution used instead, a quarter of a
     // pixel at 0.8 m, and the reason.
-    let (code, told, complaint) =
+    let (code, message, complaint) =
         text(&odograph(&["mosaic", "map.gpkg", "--resolution", "1e-9"], folder.path()));
     assert_eq!((code, complaint.lines().count()), (0, 1), "{complaint}");
     assert!(
         complaint.contains("--resolution 0.000000001 is finer") && complaint.contains("a quarter"),
         "{complaint}"
     );
-    let laid = told.trim_end().rsplit_once(" px of ").unwrap().1;
-    assert!(complaint.contains(laid), "{told} {complaint}");
+    let rendered = message.trim_end().rsplit_once(" px of ").unwrap().1;
+    assert!(complaint.contains(rendered), "{message} {complaint}");
 }
 
 #[test]
 fn thinning_makes_a_map_smaller() {
     let folder = made();
     let path = folder.path().join("map.gpkg");
-    let (code, told, complaints) =
+    let (code, message, complaints) =
         text(&odograph(&["thin", "map.gpkg", "--max-keyframes", "8"], folder.path()));
     assert_eq!((code, complaints.as_str()), (0, ""));
-    assert!(told.starts_with("8 of 12 keyframes kept, "), "{told}");
+    assert!(message.starts_with("8 of 12 keyframes kept, "), "{message}");
     let mut map = MapFile::open_read_only(&path).unwrap();
     map.check().unwrap();
     let most = 9 * fs::metadata(&path).unwrap().len() / 10;
     drop(map);
-    let (code, told, complaints) =
+    let (code, message, complaints) =
         text(&odograph(&["thin", "map.gpkg", "--max-size", &format!("{most}B")], folder.path()));
-    assert_eq!((code, complaints.as_str()), (0, ""), "{told}");
+    assert_eq!((code, complaints.as_str()), (0, ""), "{message}");
     assert!(fs::metadata(&path).unwrap().len() <= most);
     let (code, _, complaint) = text(&odograph(&["thin", "map.gpkg", "--max-size", "1kB"], folder.path()));
     assert!(code == 3 && complaint.contains("even without"), "{complaint}");
@@ -263,21 +267,24 @@ fn thinning_makes_a_map_smaller() {
 fn a_damaged_map_is_repaired() {
     let folder = made();
     let path = folder.path().join("map.gpkg");
-    let (code, told, complaints) = text(&odograph(&["repair", "map.gpkg"], folder.path()));
+    let (code, message, complaints) = text(&odograph(&["repair", "map.gpkg"], folder.path()));
     assert_eq!((code, complaints.as_str()), (0, ""));
-    assert!(told.contains("no damage found; nothing was written"), "{told}");
+    assert!(message.contains("no damage found; nothing was written"), "{message}");
     // As a thinning beside a running recording once left a map.
     let mut map = MapFile::open(&path).unwrap();
     map.add_edges(&[ground::edge_to(99)]).unwrap();
     map.close().unwrap();
     let (code, _, complaint) = text(&odograph(&["info", "map.gpkg"], folder.path()));
     assert!(code == 3 && complaint.contains("odograph map repair saves the rest"), "{complaint}");
-    let (code, told, complaints) = text(&odograph(&["repair", "map.gpkg"], folder.path()));
+    let (code, message, complaints) = text(&odograph(&["repair", "map.gpkg"], folder.path()));
     assert_eq!((code, complaints.as_str()), (0, ""));
     let saved = "12 keyframes saved, 2 known to be lost; 11 edges, 12 frames of paths\nmap-repaired.gpkg\n";
-    assert_eq!(told, saved);
-    let (code, told, _) = text(&odograph(&["info", "map-repaired.gpkg", "--check"], folder.path()));
-    assert!(code == 0 && told.contains("12 in 1 piece,") && !told.contains("mosaic     none"), "{told}");
+    assert_eq!(message, saved);
+    let (code, message, _) = text(&odograph(&["info", "map-repaired.gpkg", "--check"], folder.path()));
+    assert!(
+        code == 0 && message.contains("12 in 1 piece,") && !message.contains("mosaic     none"),
+        "{message}"
+    );
     // Never onto the damaged map, nor unasked onto another.
     for (output, part) in [("map-repaired.gpkg", "already there"), ("map.gpkg", "already there")] {
         let (code, _, complaint) = text(&odograph(&["repair", "map.gpkg", "-o", output], folder.path()));
@@ -312,8 +319,8 @@ fn invalid_usage_is_refused_in_one_sentence() {
         (vec!["thin", "map.gpkg", "--max-keyframes", "0"], 2, "--max-keyframes"),
         (vec!["export", "map.gpkg", "-o", "a.ply", "--max-points", "0"], 2, "--max-points"),
     ] {
-        let (found, told, complaint) = text(&odograph(&arguments, folder.path()));
-        assert_eq!((found, told.as_str()), (code, ""), "{arguments:?}: {complaint}");
+        let (found, message, complaint) = text(&odograph(&arguments, folder.path()));
+        assert_eq!((found, message.as_str()), (code, ""), "{arguments:?}: {complaint}");
         assert!(complaint.contains(part), "{arguments:?}: {complaint}");
     }
     assert_eq!(fs::read_to_string(folder.path().join("there.tum")).unwrap(), "mine");

@@ -17,8 +17,8 @@ fn odograph(folder: &Path, arguments: &str) -> Output {
 
 fn done(folder: &Path, arguments: &str) -> String {
     let output = odograph(folder, arguments);
-    let told = String::from_utf8_lossy(&output.stderr).into_owned();
-    assert!(output.status.success(), "{arguments}: {told}");
+    let message = String::from_utf8_lossy(&output.stderr).into_owned();
+    assert!(output.status.success(), "{arguments}: {message}");
     String::from_utf8(output.stdout).unwrap()
 }
 
@@ -147,8 +147,8 @@ fn a_frame_that_is_not_known_is_refused() {
         ("--height 75cm --frame robot", "base_link", 2),
     ] {
         let output = odograph(here, &format!("run {DRIVE} {arguments} -o out"));
-        let told = String::from_utf8_lossy(&output.stderr).into_owned();
-        assert!(told.contains(words) && output.status.code() == Some(code), "{arguments}: {told}");
+        let message = String::from_utf8_lossy(&output.stderr).into_owned();
+        assert!(message.contains(words) && output.status.code() == Some(code), "{arguments}: {message}");
         assert!(!here.join("out").exists());
     }
 }

@@ -15,9 +15,9 @@ fn odograph(folder: &Path, arguments: &str) -> Output {
 
 fn done(folder: &Path, arguments: &str) -> String {
     let output = odograph(folder, arguments);
-    let told = String::from_utf8_lossy(&output.stderr).into_owned();
-    assert!(output.status.success(), "{arguments}: {told}");
-    told
+    let message = String::from_utf8_lossy(&output.stderr).into_owned();
+    assert!(output.status.success(), "{arguments}: {message}");
+    message
 }
 
 /// A figure eight at 0.5 m/s with two seconds of darkness, and four sensors.
@@ -62,8 +62,8 @@ fn two_dark_seconds_are_bridged_and_the_run_is_deterministic() {
     let here = place.path();
     recorded(here);
     run(here, "-o alone --quiet");
-    let told = run(here, &format!("{SENSORS} -o out"));
-    assert!(!told.contains("not used"), "{told}");
+    let message = run(here, &format!("{SENSORS} -o out"));
+    assert!(!message.contains("not used"), "{message}");
     let truth = trajectory(&here.join("sim/truth.tum"));
     // The camera alone continues with a predicted position; with the sensors the error is below 3
     // cm after 1 m of darkness, and until the end.
@@ -101,8 +101,11 @@ fn two_dark_seconds_are_bridged_and_the_run_is_deterministic() {
         _ => format!("{line}\n"),
     });
     fs::write(here.join("liar.csv"), lie.collect::<String>()).unwrap();
-    let told = run(here, "--gyro liar.csv -o lied");
-    assert!(told.contains("gyro liar.csv is not used: it contradicts what the camera saw in"), "{told}");
+    let message = run(here, "--gyro liar.csv -o lied");
+    assert!(
+        message.contains("gyro liar.csv is not used: it contradicts what the camera saw in"),
+        "{message}"
+    );
     let statistics = fs::read_to_string(here.join("lied/stats.json")).unwrap();
     assert!(statistics.contains("\"used\": false") && statistics.contains("contradicts"), "{statistics}");
     for name in ["trajectory.tum", "trajectory.csv", "trajectory-smoothed.csv", "map.svg", "mosaic.png"] {
@@ -121,8 +124,8 @@ fn two_dark_seconds_are_bridged_and_the_run_is_deterministic() {
         _ => format!("{line}\n"),
     });
     fs::write(here.join("late.csv"), late.collect::<String>()).unwrap();
-    let told = run(here, "--gyro late.csv --max-frames 20 -o late");
-    assert!(told.contains("its clock must count from the same moment"), "{told}");
+    let message = run(here, "--gyro late.csv --max-frames 20 -o late");
+    assert!(message.contains("its clock must count from the same moment"), "{message}");
 }
 
 #[test]
@@ -141,9 +144,12 @@ fn invalid_sensor_files_are_refused() {
         fs::write(here.join("bad.csv"), text).unwrap();
         let usual = "run sim/frames --timestamps sim/frames.txt --camera sim/camera.yaml --rig sim/rig.toml --gyro bad.csv -o out";
         let output = odograph(here, usual);
-        let told = String::from_utf8_lossy(&output.stderr);
-        assert_eq!(output.status.code(), Some(3), "{told}");
-        assert!(told.contains(says) && told.contains("bad.csv") && told.lines().count() == 1, "{told}");
+        let message = String::from_utf8_lossy(&output.stderr);
+        assert_eq!(output.status.code(), Some(3), "{message}");
+        assert!(
+            message.contains(says) && message.contains("bad.csv") && message.lines().count() == 1,
+            "{message}"
+        );
         assert!(!here.join("out").exists());
     }
     done(here, "simulate -o sim --size 96x72 --duration 0.2 --sensors --force --quiet");

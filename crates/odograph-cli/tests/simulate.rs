@@ -82,10 +82,10 @@ fn realistic_effects_are_deterministic_for_any_thread_count() {
     }
     assert!(contents(&scratch.path().join("one")) == contents(&scratch.path().join("many")));
     let parameters = fs::read_to_string(scratch.path().join("one/simulation.toml")).unwrap();
-    for told in
+    for message in
         ["readout_s = 0.02", "[effects.terrain.kerb]", "[effects.bumper]", "[effects.sway]", "ride = true"]
     {
-        assert!(parameters.contains(told), "{told} is not in {parameters}");
+        assert!(parameters.contains(message), "{message} is not in {parameters}");
     }
 }
 
@@ -98,9 +98,9 @@ fn the_readout_time_is_written_only_on_request() {
         fs::read_to_string(folder.join("camera.yaml")).unwrap()
     };
     assert!(!camera("silent", &["--readout-ms", "20"]).contains("readout"));
-    let told = camera("told", &["--readout-ms", "20", "--tell-readout"]);
-    assert!(told.ends_with("readout_time_s: 0.02\n"), "{told}");
-    assert!(odograph::formats::camera_file::parse(&told, None).is_ok());
+    let message = camera("message", &["--readout-ms", "20", "--tell-readout"]);
+    assert!(message.ends_with("readout_time_s: 0.02\n"), "{message}");
+    assert!(odograph::formats::camera_file::parse(&message, None).is_ok());
     let output = simulate(&scratch.path().join("slow"), &["--readout-ms", "40"]);
     assert_eq!(output.status.code(), Some(2));
     assert!(String::from_utf8_lossy(&output.stderr).contains("longer than the time between frames"));
@@ -212,10 +212,10 @@ fn invalid_options_are_refused_and_write_nothing() {
     ] {
         let folder = scratch.path().join("sim");
         let output = simulate(&folder, &options);
-        let told = String::from_utf8_lossy(&output.stderr);
-        assert_eq!(output.status.code(), Some(code), "{options:?}: {told}");
-        assert!(told.contains(says), "{options:?}: {told}");
-        assert!(!told.contains("panicked") && !folder.exists(), "{options:?}: {told}");
+        let message = String::from_utf8_lossy(&output.stderr);
+        assert_eq!(output.status.code(), Some(code), "{options:?}: {message}");
+        assert!(message.contains(says), "{options:?}: {message}");
+        assert!(!message.contains("panicked") && !folder.exists(), "{options:?}: {message}");
     }
 }
 
@@ -227,4 +227,28 @@ fn a_folder_that_cannot_be_created_is_reported() {
     let output = simulate(&file.join("sim"), &[]);
     assert_eq!(output.status.code(), Some(3));
     assert!(String::from_utf8_lossy(&output.stderr).contains("cannot be made"));
+}
+
+#[test]
+#[cfg(unix)]
+fn an_interrupted_simulation_leaves_nothing() {
+    let scratch = tempfile::tempdir().unwrap();
+    let folder = scratch.path().join("sim");
+    let mut child = Command::new(env!("CARGO_BIN_EXE_odograph"))
+        .args(["simulate", "--size", "640x480", "--duration", "600", "--threads", "1", "-o"])
+        .arg(&folder)
+        .stderr(std::process::Stdio::piped())
+        .spawn()
+        .unwrap();
+    let first = folder.join("frames.part/000000.png");
+    while !first.exists() {
+        assert!(child.try_wait().unwrap().is_none(), "it ended before its first frame");
+        std::thread::yield_now();
+    }
+    let sent = Command::new("sh").args(["-c", &format!("kill -INT {}", child.id())]).status().unwrap();
+    assert!(sent.success());
+    let done = child.wait_with_output().unwrap();
+    assert_eq!(done.status.code(), Some(130));
+    assert_eq!(String::from_utf8_lossy(&done.stderr), "error: interrupted; nothing was written\n");
+    assert!(!folder.exists());
 }

@@ -124,9 +124,9 @@ fn invalid_usage_is_refused_and_leaves_no_files() {
         arguments.extend(["-o", output.to_str().unwrap()]);
         arguments.extend(more);
         let done = odograph(&arguments);
-        let told = String::from_utf8(done.stderr).unwrap();
-        assert_eq!(done.status.code(), Some(code), "{told}");
-        assert!(told.contains(sentence) && told.lines().count() == 1, "{told}");
+        let message = String::from_utf8(done.stderr).unwrap();
+        assert_eq!(done.status.code(), Some(code), "{message}");
+        assert!(message.contains(sentence) && message.lines().count() == 1, "{message}");
         assert!(!clean.exists());
     };
     refused(&drive.join("none"), &camera, &clean, &[], 3, "none");

@@ -11,13 +11,13 @@ fn odograph(folder: &Path, arguments: &[&str]) -> Output {
     Command::new(env!("CARGO_BIN_EXE_odograph")).args(arguments).current_dir(folder).output().unwrap()
 }
 
-fn told(output: &Output) -> String {
+fn message(output: &Output) -> String {
     String::from_utf8_lossy(&output.stderr).into_owned()
 }
 
 fn done(folder: &Path, arguments: &[&str]) -> String {
     let output = odograph(folder, arguments);
-    assert!(output.status.success(), "{arguments:?}: {}", told(&output));
+    assert!(output.status.success(), "{arguments:?}: {}", message(&output));
     String::from_utf8(output.stdout).unwrap()
 }
 
@@ -34,7 +34,10 @@ fn results_go_beside_the_recording_and_replace_nothing() {
     drive(folder);
     let run = ["run", "sim/frames", "--camera", "sim/camera.yaml", "--rig", "sim/rig.toml", "--fps", "30"];
     let first = odograph(folder, &run);
-    assert!(first.status.success() && told(&first).contains("the results go to sim/frames-run"), "{first:?}");
+    assert!(
+        first.status.success() && message(&first).contains("the results go to sim/frames-run"),
+        "{first:?}"
+    );
     let before = fs::read(folder.join("sim/frames-run/trajectory.tum")).unwrap();
     done(folder, &run);
     let second = fs::read(folder.join("sim/frames-run-2/trajectory.tum")).unwrap();
@@ -78,9 +81,9 @@ fn a_page_is_served_at_what_people_type() {
     }
     for address in ["hello", "99999", "http://localhost:8080"] {
         let refused = odograph(folder, &["view", "drive", "--serve", address]);
-        let told = told(&refused);
-        assert_eq!(refused.status.code(), Some(2), "{told}");
-        assert!(told.contains("is no address to serve at; give a port as 8080"), "{told}");
+        let message = message(&refused);
+        assert_eq!(refused.status.code(), Some(2), "{message}");
+        assert!(message.contains("is no address to serve at; give a port as 8080"), "{message}");
     }
 }
 
@@ -91,14 +94,14 @@ fn the_command_that_the_demo_prints_can_be_pasted() {
     let said = done(folder, &["demo"]);
     let command = said.lines().find(|line| line.contains(" run ")).unwrap().trim();
     let pasted = Command::new("sh").args(["-c", command]).current_dir(folder).output().unwrap();
-    assert!(pasted.status.success(), "{command}: {}", told(&pasted));
+    assert!(pasted.status.success(), "{command}: {}", message(&pasted));
     let path = |run: &str| fs::read(folder.join(run).join("trajectory.tum")).unwrap();
     assert!(path("odograph-demo") == path("odograph-demo-again"));
     // A second demo replaces nothing unasked.
     let again = odograph(folder, &["demo"]);
     assert_eq!(again.status.code(), Some(2));
     assert!(
-        told(&again).contains("is already there; choose another folder with -o, or --force"),
+        message(&again).contains("is already there; choose another folder with -o, or --force"),
         "{again:?}"
     );
     done(folder, &["demo", "--force", "-q"]);
@@ -128,4 +131,54 @@ fn help_fits_the_terminal_and_groups_commands_and_options() {
     assert!(page.contains("an earlier run.toml"));
     assert!(temporary.path().join("man/odograph-map-merge.1").is_file());
     assert!(done(temporary.path(), &["completions", "bash"]).contains("--field-of-view"));
+}
+
+#[test]
+fn the_log_is_on_standard_error_and_changes_no_result() {
+    let temporary = tempfile::tempdir().unwrap();
+    let folder = temporary.path();
+    let simulate = "simulate -o sim --format y4m --size 160x120 --duration 1.5 --blackout 0.8:1.1";
+    done(folder, &simulate.split(' ').collect::<Vec<_>>());
+    let run = |options: &[&str], results: &str| {
+        let run = ["run", "sim/sim.y4m", "--camera", "sim/camera.yaml", "--height", "0.9", "-o", results];
+        let output = odograph(folder, &[&run[..], options].concat());
+        (
+            output.status.code(),
+            message(&output),
+            fs::read(folder.join(results).join("trajectory.csv")).unwrap(),
+        )
+    };
+    let (_, plain, path) = run(&[], "plain");
+    assert!(!plain.contains(" s] "), "{plain}");
+    let (_, events, same) = run(&["-v"], "events");
+    assert!(path == same);
+    for line in [
+        "s] source sim/sim.y4m: Y4M (mono), 160x120, 46 frames",
+        "s] camera: 160x120, focal length ",
+        "s] mount: height 0.9 m",
+        ": lost:dark",
+        ": tracked",
+        "s] track: ",
+    ] {
+        assert!(events.contains(line), "{line}: {events}");
+    }
+    assert!(!events.contains("frame 3 at"), "{events}");
+    let (_, frames, same) = run(&["-vv"], "frames");
+    assert!(path == same);
+    assert!(frames.contains("frame 3 at 0.100 s: tracked, ") && frames.contains("tracks agree"), "{frames}");
+    assert_eq!(odograph(folder, &["run", "sim/sim.y4m", "-v", "-q"]).status.code(), Some(2));
+}
+
+#[test]
+fn info_says_what_to_type() {
+    let temporary = tempfile::tempdir().unwrap();
+    let folder = temporary.path();
+    done(
+        folder,
+        &"simulate -o sim --format y4m --size 160x120 --duration 0.2".split(' ').collect::<Vec<_>>(),
+    );
+    let said = done(folder, &["info", "sim/sim.y4m"]);
+    assert!(said.contains("odograph run sim/sim.y4m --camera FILE --height LENGTH\n"), "{said}");
+    let said = done(folder, &["info", "sim/sim.y4m", "--camera", "sim/camera.yaml"]);
+    assert!(said.contains("odograph run sim/sim.y4m --camera sim/camera.yaml --height LENGTH\n"), "{said}");
 }

@@ -64,9 +64,9 @@ impl Baseline {
         if !path.exists() {
             return Ok(Self::default());
         }
-        let told = |error: &dyn std::fmt::Display| Error::input(format!("{}: {error}", path.display()));
-        let text = std::fs::read_to_string(path).map_err(|error| told(&error))?;
-        serde_json::from_str(&text).map_err(|error| told(&error))
+        let with_path = |error: &dyn std::fmt::Display| Error::input(format!("{}: {error}", path.display()));
+        let text = std::fs::read_to_string(path).map_err(|error| with_path(&error))?;
+        serde_json::from_str(&text).map_err(|error| with_path(&error))
     }
 
     /// Returns the baseline with the measured rows replaced.
@@ -88,9 +88,9 @@ impl Baseline {
 }
 
 fn write(value: &impl Serialize, path: &Path) -> Result<()> {
-    let told = |error: &dyn std::fmt::Display| Error::output(format!("{}: {error}", path.display()));
-    let text = serde_json::to_string_pretty(value).map_err(|error| told(&error))?;
-    std::fs::write(path, text + "\n").map_err(|error| told(&error))
+    let with_path = |error: &dyn std::fmt::Display| Error::output(format!("{}: {error}", path.display()));
+    let text = serde_json::to_string_pretty(value).map_err(|error| with_path(&error))?;
+    std::fs::write(path, text + "\n").map_err(|error| with_path(&error))
 }
 
 /// Outcome of comparing one result with its baseline.

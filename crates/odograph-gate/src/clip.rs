@@ -1,12 +1,8 @@
 //! A recording in memory: frames, calibration as given to the odometry, and ground truth.
 
-use crate::compression;
-use crate::rows::{BenchmarkRow, camera};
 use odograph::camera::{Camera, Rig};
-use odograph::error::{Error, Result};
 use odograph::image::GrayImage;
-use odograph::trajectory::{StampedPose, Trajectory};
-use odograph_simulation::{Path, Simulation, SimulationConfig, Texture};
+use odograph::trajectory::Trajectory;
 
 /// A recording with its ground truth.
 #[derive(Debug)]
@@ -22,41 +18,4 @@ pub struct Clip {
     pub truth: Trajectory,
     /// Frame rate, frames per second.
     pub fps: f64,
-}
-
-/// Renders a row with a seed.
-pub fn render(row: &BenchmarkRow, seed: u64) -> Result<Clip> {
-    let texture = Texture::named(row.texture)
-        .ok_or_else(|| Error::usage(format!("{}: no texture is called {}", row.name, row.texture)))?;
-    let simulation = Simulation::new(SimulationConfig {
-        camera: camera(row.size_px)?,
-        rig: row.rig,
-        texture,
-        path: Path::new((row.path)(seed), row.speed_m_s, row.turn_rate_rad_s, true)?,
-        effects: row.effects.clone(),
-        fps: row.fps,
-        duration_s: None,
-        colored: false,
-        seed: 1000 + seed,
-    })?;
-    let readout_s = row.readout_is_told.then_some(row.effects.readout_s);
-    let mut clip = Clip {
-        camera: camera(row.size_px)?.with_readout_s(readout_s)?,
-        rig: row.rig_told,
-        frames: Vec::with_capacity(simulation.len()),
-        truth: Trajectory::default(),
-        fps: row.fps,
-    };
-    for frame in simulation.frames() {
-        let world_from_camera = frame.truth.world_from_camera();
-        clip.truth.poses.push(StampedPose { time_s: frame.time_s, world_from_camera });
-        clip.frames.push((frame.time_s, frame.image));
-    }
-    if let Some(alteration) = row.alteration {
-        alteration.apply(&mut clip, seed);
-    }
-    if let Some(qp) = row.h264_qp {
-        compression::compress(&mut clip, qp)?;
-    }
-    Ok(clip)
 }

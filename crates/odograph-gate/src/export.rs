@@ -1,7 +1,8 @@
 //! Export of clips for other programs, in the format of `odograph simulate --format y4m`.
 
 use crate::arguments::GateArguments;
-use crate::clip::{Clip, render};
+use crate::clip::Clip;
+use crate::rendering::render;
 use odograph::error::{Error, Result};
 use odograph::formats::{camera_file, rig_file, trajectory_file};
 use std::io::{BufWriter, Write};

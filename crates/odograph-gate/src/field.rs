@@ -5,8 +5,8 @@
 use crate::alterations::Alteration;
 use crate::rows::{BenchmarkRow, ahead, eight, with};
 use odograph_simulation::{
-    Breathing, Bumper, Dirt, Effects, ExposureJumps, Kerb, Lamp, Relief, Shadow, Sway, Terrain, Undulation,
-    Vibration, Wander,
+    Breathing, Bumper, Dirt, Effects, ExposureJumps, Kerb, Lamp, Relief, Shadow, SlowVariation, Sway,
+    Terrain, Undulation, Vibration,
 };
 
 /// All rows of the field.
@@ -16,8 +16,8 @@ pub fn rows() -> Vec<BenchmarkRow> {
     let shaking = Vibration { shift_m: 0.002, turn_rad: 0.005, frequency_hz: 10.0 };
     let hand = |readout_s: f64| Effects {
         vibration: Some(Vibration { shift_m: 0.006, turn_rad: 0.012, frequency_hz: 4.0 }),
-        height_change: Some(Wander { amplitude: 0.1, period_s: 5.0 }),
-        tilt_change: Some(Wander { amplitude: 3f64.to_radians(), period_s: 4.0 }),
+        height_change: Some(SlowVariation { amplitude: 0.1, period_s: 5.0 }),
+        tilt_change: Some(SlowVariation { amplitude: 3f64.to_radians(), period_s: 4.0 }),
         exposure_s: 0.004,
         ..rolling(readout_s)
     };

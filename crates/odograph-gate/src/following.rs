@@ -8,7 +8,7 @@ use odograph::error::Result;
 use odograph::ground_map::MemoryImages;
 use odograph::loop_closure::LoopClosureConfig;
 use odograph::motion::MotionModel;
-use odograph::mounting::{CalibrationMonitor, Found, OnlineCalibration};
+use odograph::mounting::{CalibrationMonitor, CalibrationUpdate, OnlineCalibration};
 use odograph::odometry::{Odometry, OdometryConfig};
 use odograph::slam::{Mapper, map_frames};
 use odograph::trajectory::FrameEstimate;
@@ -28,7 +28,7 @@ pub struct TrackedClip {
 enum Pass {
     Finished(TrackedClip),
     /// The calibration differs from the given one, so the clip is tracked again with the new one.
-    Again(Box<Found>),
+    Again(Box<CalibrationUpdate>),
 }
 
 /// Tracks a clip from its first frame to its last.
@@ -64,7 +64,7 @@ fn pass(
 ) -> Result<Pass> {
     let mut odometry = Odometry::new(camera.clone(), rig, *config)?;
     let mut mapper = (follow == Follow::Mapped).then(|| {
-        odometry.tell_keyframes();
+        odometry.record_keyframes();
         (Mapper::new(camera, rig, config, LoopClosureConfig::default()), MemoryImages::default())
     });
     let mut online = (follow == Follow::Live && config.motion.model == MotionModel::Auto)

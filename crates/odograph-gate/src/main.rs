@@ -20,6 +20,7 @@ mod following;
 mod measuring;
 mod processor;
 mod recordings;
+mod rendering;
 mod report;
 mod rows;
 mod tables;

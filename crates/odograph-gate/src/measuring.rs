@@ -2,11 +2,12 @@
 
 use crate::arguments::GateArguments;
 use crate::baseline::{GateResults, RowFigures, Skipped};
-use crate::clip::{Clip, render};
+use crate::clip::Clip;
 use crate::figures::Figures;
 use crate::following::{TrackedClip, follow};
 use crate::processor::{peak_memory_mb, reference_ms};
 use crate::recordings::{self, RealRecording};
+use crate::rendering::render;
 use crate::rows::BenchmarkRow;
 use nalgebra::Vector3;
 use odograph::error::Result;

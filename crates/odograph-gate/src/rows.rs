@@ -6,7 +6,7 @@ use odograph::error::Result;
 use odograph::geometry::Pixel;
 use odograph_simulation::{
     Blackout, Bumper, Dirt, Effects, Kerb, Lamp, Lighting, MovingObject, PathKind, Ramp, Relief, Shadow,
-    Terrain, Timing, Undulation, Vibration, Wander,
+    SlowVariation, Terrain, Timing, Undulation, Vibration,
 };
 use std::f64::consts::TAU;
 
@@ -44,9 +44,9 @@ pub struct BenchmarkRow {
     /// True mount of the camera.
     pub rig: Rig,
     /// Mount given to the odometry.
-    pub rig_told: Rig,
+    pub given_rig: Rig,
     /// Whether the odometry is given the readout time of the rolling shutter.
-    pub readout_is_told: bool,
+    pub readout_is_given: bool,
     /// Quantisation parameter of H.264, 0 to 51; `None` for uncompressed recordings.
     pub h264_qp: Option<u8>,
     /// What the camera's software does to the images.
@@ -120,8 +120,8 @@ pub fn clean() -> BenchmarkRow {
         size_px: FULL_PX,
         fps: 30.0,
         rig: Rig::level(HEIGHT_M),
-        rig_told: Rig::level(HEIGHT_M),
-        readout_is_told: false,
+        given_rig: Rig::level(HEIGHT_M),
+        readout_is_given: false,
         h264_qp: None,
         alteration: None,
         follow: Follow::Recorded,
@@ -150,8 +150,8 @@ pub fn rows() -> Vec<BenchmarkRow> {
         ..noise()
     };
     let object = MovingObject { radius_m: 0.09, speed_m_s: 0.3, every_s: 2.5 };
-    let height = |amplitude| Some(Wander { amplitude, period_s: 5.0 });
-    let tilt = |degrees: f64| Some(Wander { amplitude: degrees.to_radians(), period_s: 4.0 });
+    let height = |amplitude| Some(SlowVariation { amplitude, period_s: 5.0 });
+    let tilt = |degrees: f64| Some(SlowVariation { amplitude: degrees.to_radians(), period_s: 4.0 });
     let hand_held = Effects {
         vibration: Some(Vibration { shift_m: 0.006, turn_rad: 0.012, frequency_hz: 4.0 }),
         height_change: height(0.1),
@@ -191,7 +191,7 @@ pub fn rows() -> Vec<BenchmarkRow> {
         with("tilt-3deg", Effects { tilt_change: tilt(3.0), ..noise() }),
         BenchmarkRow { name: "tilt-untold", rig: tilted, ..clean() },
         BenchmarkRow { name: "tilt-untold-live", rig: tilted, follow: Follow::Live, ..clean() },
-        BenchmarkRow { name: "height-told-2pct-low", rig_told: Rig::level(0.98 * HEIGHT_M), ..clean() },
+        BenchmarkRow { name: "height-told-2pct-low", given_rig: Rig::level(0.98 * HEIGHT_M), ..clean() },
         BenchmarkRow { texture: "grass", ..with("hand-held", hand_held.clone()) },
         BenchmarkRow { texture: "grass", ..small("hand-held-small", hand_held) },
         BenchmarkRow {
@@ -201,9 +201,9 @@ pub fn rows() -> Vec<BenchmarkRow> {
             ..with("fast", Effects { exposure_s: 0.0009, ..noise() })
         },
         BenchmarkRow { path: ahead, ..with("rolling-20ms", rolling.clone()) },
-        BenchmarkRow { path: ahead, readout_is_told: true, ..with("rolling-20ms-told", rolling.clone()) },
+        BenchmarkRow { path: ahead, readout_is_given: true, ..with("rolling-20ms-told", rolling.clone()) },
         BenchmarkRow { path: eight, ..with("rolling-eight", rolling.clone()) },
-        BenchmarkRow { path: eight, readout_is_told: true, ..with("rolling-eight-told", rolling.clone()) },
+        BenchmarkRow { path: eight, readout_is_given: true, ..with("rolling-eight-told", rolling.clone()) },
         with("rolling-vibration", Effects { vibration: Some(vibration), ..rolling }),
         BenchmarkRow {
             texture: "concrete",

@@ -16,7 +16,7 @@ pub struct GroundState {
 }
 
 /// A ground map in tiles of [`Mosaic::TILE_SIDE_PX`] × [`Mosaic::TILE_SIDE_PX`] pixels.
-pub trait Ground: Send + Sync {
+pub trait TiledGround: Send + Sync {
     /// The current state; `None` while the map is empty.
     fn state(&self) -> Option<GroundState>;
     /// The tiles that changed after `revision`.
@@ -26,7 +26,7 @@ pub trait Ground: Send + Sync {
 }
 
 /// The mosaic of a running odometry.
-impl Ground for Mutex<Mosaic> {
+impl TiledGround for Mutex<Mosaic> {
     fn state(&self) -> Option<GroundState> {
         let mosaic = self.lock().unwrap_or_else(PoisonError::into_inner);
         let metres_per_pixel = mosaic.resolution_m()?;
@@ -42,7 +42,7 @@ impl Ground for Mutex<Mosaic> {
     }
 }
 
-impl Ground for Box<dyn Ground> {
+impl TiledGround for Box<dyn TiledGround> {
     fn state(&self) -> Option<GroundState> {
         (**self).state()
     }
@@ -56,7 +56,7 @@ impl Ground for Box<dyn Ground> {
     }
 }
 
-impl<G: Ground> Ground for Arc<G> {
+impl<G: TiledGround> TiledGround for Arc<G> {
     fn state(&self) -> Option<GroundState> {
         (**self).state()
     }
@@ -110,7 +110,7 @@ impl GrowingTiles {
     }
 }
 
-impl Ground for GrowingTiles {
+impl TiledGround for GrowingTiles {
     fn state(&self) -> Option<GroundState> {
         let tiles = self.tiles();
         Some(GroundState { metres_per_pixel: tiles.metres_per_pixel?, revision: tiles.revision })
@@ -161,7 +161,7 @@ impl GroundPicture {
     }
 }
 
-impl Ground for GroundPicture {
+impl TiledGround for GroundPicture {
     fn state(&self) -> Option<GroundState> {
         Some(GroundState { metres_per_pixel: self.placement.metres_per_pixel, revision: 1 })
     }

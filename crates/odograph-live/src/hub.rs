@@ -1,7 +1,7 @@
 //! The shared state of a live run. The tracking thread writes into it without ever waiting for a
 //! viewer; each viewer reads what is new since its last read.
 
-use crate::ground::Ground;
+use crate::ground::TiledGround;
 use crate::record::{Records, TrackRecord};
 pub use crate::shown::{Introduction, Mark, Phase, Status, View};
 use odograph::mosaic::MosaicSquare;
@@ -19,7 +19,7 @@ const GROUND_INTERVAL: Duration = Duration::from_millis(250);
 /// map.
 pub struct Hub {
     introduction: Introduction,
-    ground: Arc<dyn Ground>,
+    ground: Arc<dyn TiledGround>,
     seen: Mutex<ViewerState>,
     news: Condvar,
     stop_asked: AtomicBool,
@@ -36,7 +36,7 @@ struct ViewerState {
     statuses: u64,
     marks: Vec<Mark>,
     notices: Vec<Notice>,
-    notices_told: u64,
+    notices_sent: u64,
 }
 
 /// The newest message of one kind. Each message replaces the previous one of its kind.
@@ -80,7 +80,7 @@ pub struct News {
 
 impl Hub {
     /// Creates a hub that serves `ground` as its map.
-    pub fn new(introduction: Introduction, ground: Arc<dyn Ground>) -> Self {
+    pub fn new(introduction: Introduction, ground: Arc<dyn TiledGround>) -> Self {
         Self {
             introduction,
             ground,
@@ -98,7 +98,7 @@ impl Hub {
     }
 
     /// The ground map below the trajectory.
-    pub fn ground(&self) -> &dyn Ground {
+    pub fn ground(&self) -> &dyn TiledGround {
         &*self.ground
     }
 
@@ -188,11 +188,11 @@ impl Hub {
 
     /// Publishes a message that replaces the previous one of its kind. A page receives `{"kind":
     /// kind, kind: value}`.
-    pub fn tell(&self, kind: &'static str, value: &impl Serialize) {
+    pub fn notify(&self, kind: &'static str, value: &impl Serialize) {
         let json: Arc<str> = serde_json::json!({ "kind": kind, kind: value }).to_string().into();
         let mut seen = self.seen();
-        seen.notices_told += 1;
-        let number = seen.notices_told;
+        seen.notices_sent += 1;
+        let number = seen.notices_sent;
         seen.notices.retain(|notice| notice.kind != kind);
         seen.notices.push(Notice { kind, number, json });
         drop(seen);
@@ -266,10 +266,10 @@ impl Hub {
             cursor.marks = seen.marks.len();
             any = true;
         }
-        if seen.notices_told > cursor.notices {
+        if seen.notices_sent > cursor.notices {
             let new = seen.notices.iter().filter(|notice| notice.number > cursor.notices);
             news.notices = new.map(|notice| Arc::clone(&notice.json)).collect();
-            cursor.notices = seen.notices_told;
+            cursor.notices = seen.notices_sent;
             any = true;
         }
         any.then_some(news)
@@ -367,14 +367,14 @@ mod tests {
         assert_eq!(news.view.unwrap().jpeg, [2]);
         assert!(slow.news(Duration::ZERO).records.is_none());
         // Each viewer receives the newest notice of a kind once, whenever it reads.
-        hub.tell("map", &1);
-        hub.tell("board", &2);
-        hub.tell("map", &3);
-        let told = |viewer: &mut Viewer| viewer.news(Duration::ZERO).notices.concat();
-        assert_eq!(told(&mut slow), r#"{"board":2,"kind":"board"}{"kind":"map","map":3}"#);
-        assert_eq!(told(&mut slow), "");
-        hub.tell("board", &4);
-        assert_eq!(told(&mut slow), r#"{"board":4,"kind":"board"}"#);
+        hub.notify("map", &1);
+        hub.notify("board", &2);
+        hub.notify("map", &3);
+        let notices = |viewer: &mut Viewer| viewer.news(Duration::ZERO).notices.concat();
+        assert_eq!(notices(&mut slow), r#"{"board":2,"kind":"board"}{"kind":"map","map":3}"#);
+        assert_eq!(notices(&mut slow), "");
+        hub.notify("board", &4);
+        assert_eq!(notices(&mut slow), r#"{"board":4,"kind":"board"}"#);
         drop(slow);
         assert_eq!(hub.viewers(), 1);
     }

@@ -22,7 +22,7 @@ pub mod foxglove;
 pub mod server;
 
 pub use foxglove::McapFile;
-pub use ground::{Ground, GroundPicture};
+pub use ground::{GroundPicture, TiledGround};
 pub use hub::{Hub, Introduction, Mark, Phase, Status, View};
 pub use record::TrackRecord;
 pub use server::{Server, ServerOptions};

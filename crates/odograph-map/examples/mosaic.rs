@@ -97,7 +97,7 @@ fn seams() {
         let renderer = Renderer::new(&camera);
         let folder = tempfile::tempdir().unwrap();
         let mut map = MapFile::create(&folder.path().join("map.gpkg"), &camera, &Rig::level(0.5)).unwrap();
-        let mut laid = Mosaic::new(MosaicOptions::default());
+        let mut rendered = Mosaic::new(MosaicOptions::default());
         let mut state = 17;
         let mut off =
             |most: f64| most * (random(&mut state) + random(&mut state) + random(&mut state) - 1.5) * 2.0;
@@ -110,13 +110,13 @@ fn seams() {
                 heading_rad: pose.heading_rad + turn,
                 ..*pose
             };
-            laid.add(&image, &camera, &known);
+            rendered.add(&image, &camera, &known);
             map.add_keyframe(&keyframe(number, known), &KeyframeImage { gray: image, color: None }, &[])
                 .unwrap();
         }
-        map.lay_mosaic(None, &mut |_| true).unwrap();
+        map.render_mosaic(None, &mut |_| true).unwrap();
         let pictures = [
-            ("as it came", laid.picture().unwrap()),
+            ("as it came", rendered.picture().unwrap()),
             ("of the map", map.mosaic_picture(usize::MAX).unwrap().unwrap()),
         ];
         for (kind, picture) in &pictures {
@@ -235,8 +235,8 @@ fn growth(keyframes: usize) {
         map.add_keyframe(&keyframe(number, pose), &image, &[]).unwrap();
     }
     let (added_s, started) = (started.elapsed().as_secs_f64(), Instant::now());
-    map.lay_mosaic(None, &mut |_| true).unwrap();
-    let laid_s = started.elapsed().as_secs_f64();
+    map.render_mosaic(None, &mut |_| true).unwrap();
+    let rendered_s = started.elapsed().as_secs_f64();
     let layer = map.mosaic().unwrap().unwrap();
     let (width, height, _) = layer.picture_at(layer.finest);
     map.close().unwrap();
@@ -244,7 +244,7 @@ fn growth(keyframes: usize) {
     let peak =
         status.lines().find(|line| line.starts_with("VmHWM")).unwrap_or("VmHWM: not known here").to_owned();
     println!(
-        "{keyframes} keyframes added in {added_s:.1} s, mosaic of {width}x{height} px laid in {laid_s:.1} s, file {:.1} MB, {peak}",
+        "{keyframes} keyframes added in {added_s:.1} s, mosaic of {width}x{height} px rendered in {rendered_s:.1} s, file {:.1} MB, {peak}",
         std::fs::metadata(&path).unwrap().len() as f64 / 1e6
     );
 }

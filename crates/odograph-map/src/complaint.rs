@@ -69,14 +69,14 @@ impl Complaint {
 }
 
 /// Converts an SQLite result to one with a message.
-pub(crate) trait Told<T> {
+pub(crate) trait WithContext<T> {
     /// For a read operation.
     fn while_reading(self, complaint: &Complaint) -> Result<T>;
     /// For a write operation.
     fn while_writing(self, complaint: &Complaint) -> Result<T>;
 }
 
-impl<T> Told<T> for rusqlite::Result<T> {
+impl<T> WithContext<T> for rusqlite::Result<T> {
     fn while_reading(self, complaint: &Complaint) -> Result<T> {
         self.map_err(|failure| complaint.reading(&failure))
     }

@@ -1,6 +1,6 @@
 //! Pose graph edges in the map file.
 
-use crate::complaint::Told;
+use crate::complaint::WithContext;
 use crate::file::MapFile;
 use crate::numbers::{bytes_from_symmetric, symmetric_from_bytes};
 use nalgebra::Vector4;

@@ -1,7 +1,7 @@
 //! The map file: create, open, check, close.
 
 use crate::claim::{self, MapClaim};
-use crate::complaint::{Complaint, Told};
+use crate::complaint::{Complaint, WithContext};
 use crate::lever_arm;
 use crate::schema;
 use crate::thinning::{Thinning, thinning};

@@ -1,12 +1,13 @@
 //! Keyframes in the map file: ids, poses, signatures, images.
 
-use crate::complaint::Told;
+use crate::complaint::WithContext;
 use crate::edges;
 use crate::file::MapFile;
 use crate::geopackage::{self, Extent, point_geometry};
 use crate::image::{self, StoredImage};
 use crate::numbers::{bytes_from_symmetric, symmetric_from_bytes};
-use crate::paths::{self, KeyframeMove, PathFrame, carried};
+use crate::paths::{self, KeyframeMove, PathFrame, corrected_path};
+use crate::pose_columns::pose_from;
 use nalgebra::Matrix6;
 use odograph::error::Result;
 use odograph::geometry::GroundPose;
@@ -121,7 +122,8 @@ impl MapFile {
             moves.entry(session).or_default().push(KeyframeMove { after, ..still });
         }
         moves.retain(|_, moves| moves.iter().any(|moved| moved.before != moved.after));
-        let path = |(session, moves): (u32, Vec<_>)| Ok((session, carried(&self.path_of(session)?, &moves)));
+        let path =
+            |(session, moves): (u32, Vec<_>)| Ok((session, corrected_path(&self.path_of(session)?, &moves)));
         moves.into_iter().map(path).collect()
     }
 
@@ -326,18 +328,6 @@ fn set_extent(connection: &Connection) -> rusqlite::Result<()> {
         _ => None,
     };
     geopackage::set_extent(connection, "keyframes", extent)
-}
-
-/// Reads a pose from six consecutive columns.
-pub(crate) fn pose_from(row: &Row<'_>, first: usize) -> rusqlite::Result<GroundPose> {
-    Ok(GroundPose {
-        x_m: row.get(first)?,
-        y_m: row.get(first + 1)?,
-        heading_rad: row.get(first + 2)?,
-        height_m: row.get(first + 3)?,
-        roll_rad: row.get(first + 4)?,
-        pitch_rad: row.get(first + 5)?,
-    })
 }
 
 /// A keyframe without covariance and signature, and the bytes of these.

@@ -1,9 +1,9 @@
 //! Camera paths in the map file: every tracked frame, and a polyline for each segment.
 
-use crate::complaint::Told;
+use crate::complaint::WithContext;
 use crate::file::MapFile;
 use crate::geopackage::{self, Extent, line_geometry};
-use crate::keyframes::pose_from;
+use crate::pose_columns::pose_from;
 use odograph::error::Result;
 use odograph::geometry::GroundPose;
 use rusqlite::{CachedStatement, Connection, Row, params};
@@ -82,8 +82,8 @@ impl KeyframeMove {
 /// Corrects the path of a session after its keyframes, given in order, have moved. Each frame gets
 /// the corrections of the keyframes before and after it, linearly interpolated in time, so that the
 /// path stays continuous.
-pub fn carried(path: &[PathFrame], keyframes: &[KeyframeMove]) -> Vec<PathFrame> {
-    let carry = |frame: &PathFrame| {
+pub fn corrected_path(path: &[PathFrame], keyframes: &[KeyframeMove]) -> Vec<PathFrame> {
+    let correct = |frame: &PathFrame| {
         let next = keyframes.partition_point(|keyframe| keyframe.time_s <= frame.time_s);
         let own = |keyframe: &&KeyframeMove| keyframe.segment == frame.segment;
         let before = next.checked_sub(1).and_then(|at| keyframes.get(at)).filter(own);
@@ -99,7 +99,7 @@ pub fn carried(path: &[PathFrame], keyframes: &[KeyframeMove]) -> Vec<PathFrame>
         };
         PathFrame { pose, ..*frame }
     };
-    path.iter().map(carry).collect()
+    path.iter().map(correct).collect()
 }
 
 pub(crate) fn write(connection: &Connection, session: u32, frames: &[PathFrame]) -> rusqlite::Result<()> {

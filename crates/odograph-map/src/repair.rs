@@ -11,7 +11,7 @@ use crate::keyframes::{self, is_pose};
 use crate::numbers::symmetric_from_bytes;
 use crate::paths::{self, PathFrame};
 use crate::thinning::edges_without;
-use crate::{complaint::Told, schema};
+use crate::{complaint::WithContext, schema};
 use odograph::error::{Error, Result};
 use odograph::ground_map::{GroundMap, KeyframeImages, MapKeyframe};
 use odograph::keyframe::KeyframeId;
@@ -40,7 +40,7 @@ pub struct Repair {
 }
 
 /// Writes what can be read of the map `damaged` to the new map `to`. The damaged file is not
-/// changed. The mosaic is left out: [`MapFile::lay_mosaic`] renders it again. `keep_going` is
+/// changed. The mosaic is left out: [`MapFile::render_mosaic`] renders it again. `keep_going` is
 /// called for each keyframe and returns whether to continue.
 ///
 /// Fails if the map has no readable camera and mounting or is of another version, if another

@@ -1,6 +1,6 @@
 //! Database schema: creates the tables, and validates those of a file when it is opened.
 
-use crate::complaint::{Complaint, Told};
+use crate::complaint::{Complaint, WithContext};
 use crate::geopackage::{self, APPLICATION_ID, USER_VERSION};
 use odograph::error::Result;
 use rusqlite::{Connection, OpenFlags, OptionalExtension, params};

@@ -25,7 +25,7 @@ fn good() -> &'static [u8] {
             let edges = if number > 0 { vec![ground::edge_to(number)] } else { vec![] };
             map.add_keyframe(&ground::keyframe(number, 0), &ground::image(number), &edges).unwrap();
         }
-        map.lay_mosaic(Some(0.02), &mut |_| true).unwrap();
+        map.render_mosaic(Some(0.02), &mut |_| true).unwrap();
         map.close().unwrap();
         std::fs::read(path).unwrap()
     })
@@ -88,8 +88,8 @@ fn files_that_are_not_maps_are_rejected() {
     assert!(sentence(&path).contains("not a file"), "a folder");
     let other = folder.path().join("other map.gpkg");
     Connection::open(&other).unwrap().execute_batch("CREATE TABLE people (name TEXT)").unwrap();
-    let told = MapFile::open(&other).unwrap_err().to_string();
-    assert!(told.contains("not a map of odograph"), "{told}");
+    let message = MapFile::open(&other).unwrap_err().to_string();
+    assert!(message.contains("not a map of odograph"), "{message}");
 }
 
 #[test]
@@ -104,7 +104,7 @@ fn truncated_maps_are_rejected() {
 fn corrupted_bytes_are_detected_or_harmless() {
     // Changes bytes at 97 positions, which hit pages of every table. Changes of plain numbers are
     // undetectable.
-    let mut told = 0;
+    let mut errors = 0;
     for at in (100..good().len()).step_by(good().len() / 97) {
         let mut bytes = good().to_vec();
         bytes[at] ^= 0xff;
@@ -112,9 +112,9 @@ fn corrupted_bytes_are_detected_or_harmless() {
         let folder = tempfile::tempdir().unwrap();
         let path = folder.path().join("map.gpkg");
         std::fs::write(&path, &bytes).unwrap();
-        told += usize::from(read_all(&path).is_err());
+        errors += usize::from(read_all(&path).is_err());
     }
-    assert!(told > 5, "{told} of 97 found");
+    assert!(errors > 5, "{errors} of 97 found");
 }
 
 #[test]
@@ -164,8 +164,8 @@ fn errors_name_the_invalid_content() {
         ("UPDATE mosaic SET tile_data = x'89504e47'", "of the mosaic cannot be decoded"),
     ] {
         let (_folder, path) = tampered(sql);
-        let told = sentence(&path);
-        assert!(told.contains(part), "{sql}: {told}");
+        let message = sentence(&path);
+        assert!(message.contains(part), "{sql}: {message}");
     }
 }
 
@@ -174,8 +174,8 @@ fn maps_with_triggers_are_not_opened_for_writing() {
     let (_folder, path) =
         tampered("CREATE TRIGGER more AFTER INSERT ON keyframes BEGIN DELETE FROM paths; END");
     read_all(&path).unwrap();
-    let told = MapFile::open(&path).unwrap_err().to_string();
-    assert!(told.contains("trigger more"), "{told}");
+    let message = MapFile::open(&path).unwrap_err().to_string();
+    assert!(message.contains("trigger more"), "{message}");
 }
 
 #[test]

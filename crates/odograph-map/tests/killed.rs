@@ -45,7 +45,7 @@ fn writer() {
             let frame =
                 |frame| PathFrame { frame, segment: 0, time_s: frame as f64, pose: ground::pose(frame) };
             map.set_path(session, &(0..number).map(frame).collect::<Vec<_>>()).unwrap();
-            map.lay_mosaic(Some(0.05), &mut |_| true).unwrap();
+            map.render_mosaic(Some(0.05), &mut |_| true).unwrap();
         }
     }
 }

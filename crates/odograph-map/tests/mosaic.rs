@@ -25,7 +25,7 @@ fn mosaic(
         let image = KeyframeImage { gray: change(number, ground::image(number).gray), color: None };
         map.add_keyframe(&keyframe, &image, &[]).unwrap();
     }
-    map.lay_mosaic(Some(0.004), &mut |_| true).unwrap();
+    map.render_mosaic(Some(0.004), &mut |_| true).unwrap();
     map.mosaic_picture(usize::MAX).unwrap().unwrap()
 }
 

@@ -17,9 +17,9 @@ fn create(path: &Path) -> Result<MapFile> {
 fn assert_refused<T>(result: Result<T>) {
     let Err(error) = result else { panic!("a second writer was let in") };
     assert_eq!(error.kind(), ErrorKind::Input);
-    let told = error.to_string();
+    let message = error.to_string();
     let holder = format!("being written by another program (process {})", std::process::id());
-    assert!(told.contains(&holder) && told.contains("wait until"), "{told}");
+    assert!(message.contains(&holder) && message.contains("wait until"), "{message}");
 }
 
 #[test]

@@ -35,7 +35,7 @@ fn good() -> &'static [u8] {
             pose: ground::pose(frame / 200),
         };
         map.set_path(0, &(0..FRAMES).map(frame).collect::<Vec<_>>()).unwrap();
-        map.lay_mosaic(Some(0.02), &mut |_| true).unwrap();
+        map.render_mosaic(Some(0.02), &mut |_| true).unwrap();
         map.close().unwrap();
         fs::read(path).unwrap()
     })
@@ -144,8 +144,8 @@ fn a_truncated_map_is_saved_as_far_as_it_goes() {
     };
     let (saved, _) = repaired(cut(0.8)).unwrap();
     assert!(saved.keyframes > 12, "{saved:?}");
-    let told = repaired(cut(0.002)).unwrap_err().to_string();
-    assert!(told.contains("map.gpkg") && !told.contains('\n'), "{told}");
+    let message = repaired(cut(0.002)).unwrap_err().to_string();
+    assert!(message.contains("map.gpkg") && !message.contains('\n'), "{message}");
 }
 
 #[test]
@@ -174,8 +174,8 @@ fn a_map_being_written_is_not_repaired() {
     let path = folder.path().join("map.gpkg");
     fs::write(&path, good()).unwrap();
     let _writer = MapFile::open(&path).unwrap();
-    let told = repair(&path, &folder.path().join("new.gpkg"), &mut || true).unwrap_err().to_string();
-    assert!(told.contains("being written"), "{told}");
+    let message = repair(&path, &folder.path().join("new.gpkg"), &mut || true).unwrap_err().to_string();
+    assert!(message.contains("being written"), "{message}");
 }
 
 #[test]

@@ -111,7 +111,7 @@ fn a_map_can_be_continued_updated_and_thinned() {
 fn the_same_keyframes_produce_identical_files() {
     let bytes = || {
         let (folder, mut map) = made(5);
-        map.lay_mosaic(None, &mut |_| true).unwrap();
+        map.render_mosaic(None, &mut |_| true).unwrap();
         map.close().unwrap();
         std::fs::read(folder.path().join("map.gpkg")).unwrap()
     };
@@ -143,7 +143,7 @@ fn invalid_keyframes_are_rejected_without_changing_the_map() {
 fn a_rendered_mosaic_is_stored_and_read_as_one_picture() {
     let (_folder, mut map) = made(12);
     assert!(map.mosaic().unwrap().is_none() && map.mosaic_picture(1000).unwrap().is_none());
-    assert!(map.lay_mosaic(Some(0.004), &mut |_| true).unwrap());
+    assert!(map.render_mosaic(Some(0.004), &mut |_| true).unwrap());
     let layer = map.mosaic().unwrap().unwrap();
     assert!((layer.resolution_m - 0.004).abs() < 1e-12);
     let picture = map.mosaic_picture(usize::MAX).unwrap().unwrap();
@@ -158,7 +158,7 @@ fn a_rendered_mosaic_is_stored_and_read_as_one_picture() {
         }
     }
     // After cancellation the stored mosaic is unchanged.
-    assert!(!map.lay_mosaic(Some(0.002), &mut |_| false).unwrap());
+    assert!(!map.render_mosaic(Some(0.002), &mut |_| false).unwrap());
     assert_eq!(map.mosaic().unwrap().unwrap(), layer);
 }
 
@@ -166,16 +166,16 @@ fn a_rendered_mosaic_is_stored_and_read_as_one_picture() {
 fn a_mosaic_rendered_elsewhere_round_trips() {
     let (_folder, mut map) = made(12);
     let mut mosaic = Mosaic::new(MosaicOptions { ground_resolution_m: Some(0.002), ..Default::default() });
-    assert!(!map.set_mosaic(&mosaic).unwrap(), "nothing is laid yet");
+    assert!(!map.set_mosaic(&mosaic).unwrap(), "nothing is rendered yet");
     assert!(map.mosaic().unwrap().is_none());
     for number in 0..12 {
         assert!(mosaic.add(&image(number).gray, &camera(), &pose(number)));
     }
     assert!(map.set_mosaic(&mosaic).unwrap());
-    let (laid, found) = (mosaic.picture().unwrap(), map.mosaic_picture(usize::MAX).unwrap().unwrap());
-    assert_eq!((found.width, found.height), (laid.width, laid.height));
-    assert!(found.rgba == laid.rgba);
-    let places = [&found, &laid].map(|picture| picture.placement.ground_from_pixel(0.0, 0.0));
+    let (rendered, found) = (mosaic.picture().unwrap(), map.mosaic_picture(usize::MAX).unwrap().unwrap());
+    assert_eq!((found.width, found.height), (rendered.width, rendered.height));
+    assert!(found.rgba == rendered.rgba);
+    let places = [&found, &rendered].map(|picture| picture.placement.ground_from_pixel(0.0, 0.0));
     assert!(places[0].distance(places[1]) < 1e-9);
     // Every level shows the same ground, up to the sampling of its pixels.
     let layer = map.mosaic().unwrap().unwrap();
@@ -189,7 +189,7 @@ fn a_mosaic_rendered_elsewhere_round_trips() {
         };
         // A reduced pixel shows ground if any of its four source pixels does, so the covered area
         // grows by half a pixel along its border.
-        assert!((1.0..1.4).contains(&(seen(&coarse) / seen(&laid))), "level {level}");
+        assert!((1.0..1.4).contains(&(seen(&coarse) / seen(&rendered))), "level {level}");
     }
     map.check().unwrap();
 }

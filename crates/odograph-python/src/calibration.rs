@@ -1,15 +1,15 @@
 //! Calibration with pictures of a board.
 
 use crate::arrays::{Matrix, Vector, transform, vector};
-use crate::camera::Camera;
+use crate::camera::PyCamera;
 use crate::error::{Failure, Result};
 use crate::pixels::Pixels;
 use numpy::IntoPyArray;
 use numpy::ndarray::Array2;
 use odograph_calibration::selection::{SelectionConfig, Sighting, ViewSelector, blur_px};
 use odograph_calibration::{
-    Board, BoardFinder, BoardView, Calibration as CoreCalibration, CalibrationConfig, LensModel, NotFound,
-    Verdict, calibrate as solve, calibration_file, nothing_found,
+    Board, BoardFinder, BoardView, Calibration, CalibrationConfig, LensModel, NotFound, Verdict,
+    calibrate as solve, calibration_file, nothing_found,
 };
 use odograph_core::Error;
 use odograph_core::image::GrayImage;
@@ -51,7 +51,7 @@ pub fn calibrate(
     centred: bool,
     bent_board: bool,
     max_views: usize,
-) -> Result<Calibration> {
+) -> Result<PyCalibration> {
     let board: Board = board.parse()?;
     let model = if model == "auto" { None } else { Some(model.parse::<LensModel>()?) };
     let config = CalibrationConfig { model, square_pixels, centred, flat_board: !bent_board };
@@ -80,7 +80,7 @@ pub fn calibrate(
         search.look();
         let (names, views) = search.chosen()?;
         let calibration = solve(&board, &views, &config)?;
-        odograph_core::Result::Ok(Calibration { calibration, board, names })
+        odograph_core::Result::Ok(PyCalibration { calibration, board, names })
     })?)
 }
 
@@ -228,20 +228,20 @@ impl Search {
 }
 
 /// A calibrated camera with its uncertainty and quality figures.
-#[pyclass(frozen, module = "odograph")]
-pub struct Calibration {
-    calibration: CoreCalibration,
+#[pyclass(name = "Calibration", frozen, module = "odograph")]
+pub struct PyCalibration {
+    calibration: Calibration,
     board: Board,
     /// Names of the views.
     names: Vec<String>,
 }
 
 #[pymethods]
-impl Calibration {
+impl PyCalibration {
     /// The camera.
     #[getter]
-    fn camera(&self) -> Camera {
-        Camera(self.calibration.camera.clone())
+    fn camera(&self) -> PyCamera {
+        PyCamera(self.calibration.camera.clone())
     }
 
     /// Name of the lens model.

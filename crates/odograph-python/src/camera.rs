@@ -4,7 +4,7 @@ use crate::arrays::{Matrix, Vector, numbers, vector};
 use crate::error::{Failure, Result};
 use numpy::IntoPyArray;
 use numpy::ndarray::Array2;
-use odograph_core::camera::{Camera as CoreCamera, Distortion, LeverArm, Rig as CoreRig};
+use odograph_core::camera::{Camera, Distortion, LeverArm, Rig};
 use odograph_core::formats::{camera_file, rig_file};
 use odograph_session::{Observer, RunBuilder, doubtful_unit, files, read_rig};
 use pyo3::prelude::*;
@@ -17,13 +17,13 @@ use std::path::PathBuf;
 /// OpenCV's k1 k2 p1 p2 [k3 [k4 k5 k6]], or none; "kannala-brandt" OpenCV's fisheye k1 k2 k3 k4;
 /// "double-sphere" xi alpha. readout is the rolling shutter's time from first to last row, seconds;
 /// 0 is a global shutter, None lets it be learned.
-#[pyclass(frozen, eq, module = "odograph")]
+#[pyclass(name = "Camera", frozen, eq, module = "odograph")]
 #[derive(Debug, Clone, PartialEq)]
-pub struct Camera(pub CoreCamera);
+pub struct PyCamera(pub Camera);
 
 #[pymethods]
 #[allow(non_snake_case)] // K is what everybody calls it
-impl Camera {
+impl PyCamera {
     #[new]
     #[pyo3(signature = (K, dist = None, *, size, model = "brown-conrady", readout = None))]
     fn new(
@@ -42,7 +42,7 @@ impl Camera {
         }
         let coefficients = dist.map_or(Ok(Vec::new()), |dist| numbers("dist", dist).map(|(_, c)| c))?;
         let distortion = distortion(model, &coefficients)?;
-        let camera = CoreCamera::new(size, (k[0], k[4]), (k[2], k[5]), distortion)?;
+        let camera = Camera::new(size, (k[0], k[4]), (k[2], k[5]), distortion)?;
         Ok(Self(camera.with_readout_s(readout)?))
     }
 
@@ -59,7 +59,7 @@ impl Camera {
     /// (width, height) metres, of level ground from height metres above it.
     #[staticmethod]
     fn from_field_of_view(size: (usize, usize), field_of_view: (f64, f64), height: f64) -> Result<Self> {
-        Ok(Self(CoreCamera::from_field_of_view(size, field_of_view, height)?))
+        Ok(Self(Camera::from_field_of_view(size, field_of_view, height)?))
     }
 
     /// Writes the camera as OpenCV YAML, which load reads to the bit.
@@ -129,17 +129,17 @@ fn distortion(model: &str, c: &[f64]) -> Result<Distortion> {
 /// How a camera is mounted: height above the ground in metres; roll, pitch and yaw against straight
 /// down with the top of the image forward, radians; where known, the camera's place in the robot's
 /// frame (x forward, y left, z up), metres.
-#[pyclass(frozen, eq, module = "odograph")]
+#[pyclass(name = "Rig", frozen, eq, module = "odograph")]
 #[derive(Debug, Clone, PartialEq)]
-pub struct Rig(pub CoreRig);
+pub struct PyRig(pub Rig);
 
 #[pymethods]
-impl Rig {
+impl PyRig {
     #[new]
     #[pyo3(signature = (height, *, roll = 0.0, pitch = 0.0, yaw = 0.0, lever_arm = None))]
     fn new(height: f64, roll: f64, pitch: f64, yaw: f64, lever_arm: Option<(f64, f64, f64)>) -> Result<Self> {
         let lever_arm = lever_arm.map(|(x_m, y_m, z_m)| LeverArm { x_m, y_m, z_m });
-        let rig = CoreRig { height_m: height, roll_rad: roll, pitch_rad: pitch, yaw_rad: yaw, lever_arm };
+        let rig = Rig { height_m: height, roll_rad: roll, pitch_rad: pitch, yaw_rad: yaw, lever_arm };
         Ok(Self(rig.validated()?))
     }
 
@@ -188,7 +188,7 @@ impl Rig {
     }
 
     fn __repr__(&self) -> String {
-        let CoreRig { height_m, roll_rad, pitch_rad, yaw_rad, lever_arm } = self.0;
+        let Rig { height_m, roll_rad, pitch_rad, yaw_rad, lever_arm } = self.0;
         let arm = lever_arm
             .map_or_else(String::new, |arm| format!(", lever_arm=({}, {}, {})", arm.x_m, arm.y_m, arm.z_m));
         format!("Rig({height_m}, roll={roll_rad}, pitch={pitch_rad}, yaw={yaw_rad}{arm})")
@@ -210,16 +210,16 @@ impl Observer for Doubts {
 /// A camera, or the file of one.
 #[derive(FromPyObject)]
 pub enum CameraArgument<'py> {
-    Camera(Bound<'py, Camera>),
+    Camera(Bound<'py, PyCamera>),
     File(PathBuf),
 }
 
 impl CameraArgument<'_> {
     /// The camera.
-    pub fn read(&self) -> Result<CoreCamera> {
+    pub fn read(&self) -> Result<Camera> {
         match self {
             Self::Camera(camera) => Ok(camera.get().0.clone()),
-            Self::File(path) => Camera::load(path.clone(), None).map(|camera| camera.0),
+            Self::File(path) => PyCamera::load(path.clone(), None).map(|camera| camera.0),
         }
     }
 
@@ -235,12 +235,12 @@ impl CameraArgument<'_> {
 /// A rig, or the file of one.
 #[derive(FromPyObject)]
 pub enum RigArgument<'py> {
-    Rig(Bound<'py, Rig>),
+    Rig(Bound<'py, PyRig>),
     File(PathBuf),
 }
 
 /// The mount that `height` or `rig` give; `None` where neither is given.
-pub fn mount(py: Python<'_>, height: Option<f64>, rig: Option<RigArgument<'_>>) -> Result<Option<CoreRig>> {
+pub fn mount(py: Python<'_>, height: Option<f64>, rig: Option<RigArgument<'_>>) -> Result<Option<Rig>> {
     match (height, rig) {
         (Some(_), Some(_)) => Err(Failure::usage("height and rig are both given; a rig has its height")),
         (None, None) => Ok(None),
@@ -248,10 +248,10 @@ pub fn mount(py: Python<'_>, height: Option<f64>, rig: Option<RigArgument<'_>>) 
             if let Some((_, name)) = doubtful_unit(height_m) {
                 warn(py, &format!("height {height_m} is read as {height_m} metres; are {name} meant?"))?;
             }
-            Ok(Some(CoreRig::level(height_m).validated()?))
+            Ok(Some(Rig::level(height_m).validated()?))
         }
         (None, Some(RigArgument::Rig(rig))) => Ok(Some(rig.get().0)),
-        (None, Some(RigArgument::File(path))) => Ok(Some(Rig::load(py, path)?.0)),
+        (None, Some(RigArgument::File(path))) => Ok(Some(PyRig::load(py, path)?.0)),
     }
 }
 

@@ -2,14 +2,14 @@
 
 use crate::arrays::{Matrix, isometry, numbers, transform};
 use crate::error::{Failure, Result};
-use crate::simulation::Simulation;
-use crate::trajectory::Trajectory;
+use crate::simulation::PySimulation;
+use crate::trajectory::PyTrajectory;
 use numpy::IntoPyArray;
 use numpy::ndarray::Array2;
 use odograph_core::evaluation::{
-    Alignment, Delta, Evaluation as CoreEvaluation, EvaluationOptions, Statistics, evaluate as measure,
+    Alignment, Delta, Evaluation, EvaluationOptions, Statistics, evaluate as measure,
 };
-use odograph_core::trajectory::{StampedPose, Trajectory as CoreTrajectory};
+use odograph_core::trajectory::{StampedPose, Trajectory};
 use odograph_session::{LoadedTrajectory, read_trajectory};
 use pyo3::prelude::*;
 use pyo3::types::PyDict;
@@ -18,8 +18,8 @@ use std::path::PathBuf;
 /// A trajectory in one of the ways to have one.
 #[derive(FromPyObject)]
 pub enum TrajectoryArgument<'py> {
-    Run(Bound<'py, Trajectory>),
-    Truth(Bound<'py, Simulation>),
+    Run(Bound<'py, PyTrajectory>),
+    Truth(Bound<'py, PySimulation>),
     File(PathBuf),
     /// N times and N×4×4 poses.
     Arrays(Bound<'py, PyAny>, Bound<'py, PyAny>),
@@ -48,7 +48,7 @@ impl TrajectoryArgument<'_> {
                     Ok(StampedPose { time_s, world_from_camera: rigid? })
                 };
                 let poses = times_s.into_iter().zip(rows.chunks_exact(16)).enumerate();
-                CoreTrajectory { poses: poses.map(stamped).collect::<Result<_>>()? }
+                Trajectory { poses: poses.map(stamped).collect::<Result<_>>()? }
             }
         };
         Ok(LoadedTrajectory { trajectory, timed: true })
@@ -75,7 +75,7 @@ pub fn evaluate(
     max_time_difference: f64,
     deltas: Vec<f64>,
     segments: Vec<f64>,
-) -> Result<Evaluation> {
+) -> Result<PyEvaluation> {
     let alignment = match align {
         "none" => Alignment::None,
         "origin" => Alignment::Origin,
@@ -105,15 +105,15 @@ pub fn evaluate(
         all_pairs: false,
         segment_lengths_m: segments,
     };
-    Ok(Evaluation(py.detach(|| measure(&estimate.trajectory, &truth.trajectory, &options))?))
+    Ok(PyEvaluation(py.detach(|| measure(&estimate.trajectory, &truth.trajectory, &options))?))
 }
 
 /// The error of a trajectory. Errors of position are metres, of rotation radians.
-#[pyclass(frozen, module = "odograph")]
-pub struct Evaluation(CoreEvaluation);
+#[pyclass(name = "Evaluation", frozen, module = "odograph")]
+pub struct PyEvaluation(Evaluation);
 
 #[pymethods]
-impl Evaluation {
+impl PyEvaluation {
     /// Absolute position error, metres: rmse, mean, median, std, min, max, sse and count.
     #[getter]
     fn translation<'py>(&self, py: Python<'py>) -> Result<Bound<'py, PyDict>> {

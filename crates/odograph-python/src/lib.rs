@@ -24,23 +24,23 @@ mod calibration;
 #[pyo3::pymodule(name = "odograph")]
 mod module {
     #[pymodule_export]
-    use crate::calibration::{Calibration, calibrate};
+    use crate::calibration::{PyCalibration, calibrate};
     #[pymodule_export]
-    use crate::camera::{Camera, Rig};
+    use crate::camera::{PyCamera, PyRig};
     #[pymodule_export]
     use crate::error::Error;
     #[pymodule_export]
-    use crate::evaluation::{Evaluation, evaluate};
+    use crate::evaluation::{PyEvaluation, evaluate};
     #[pymodule_export]
-    use crate::map::{Map, Place};
+    use crate::map::{PyMap, PyPlace};
     #[pymodule_export]
-    use crate::odometry::{Frame, Odometry};
+    use crate::odometry::{PyFrame, PyOdometry};
     #[pymodule_export]
     use crate::run::run;
     #[pymodule_export]
-    use crate::simulation::{Simulation, simulate};
+    use crate::simulation::{PySimulation, simulate};
     #[pymodule_export]
-    use crate::trajectory::Trajectory;
+    use crate::trajectory::PyTrajectory;
 
     #[pymodule_export]
     #[allow(non_upper_case_globals)] // Python's name for it

@@ -1,6 +1,6 @@
 //! Maps, and places in them.
 
-use crate::camera::{Camera, Rig};
+use crate::camera::{PyCamera, PyRig};
 use crate::error::{Failure, Result};
 use crate::pixels::Pixels;
 use crate::run::followed;
@@ -8,16 +8,16 @@ use numpy::ndarray::Array3;
 use numpy::{IntoPyArray, PyArray3};
 use odograph_core::Error;
 use odograph_map::MapFile;
-use odograph_session::{AlikePlace, PlaceInMap, RunBuilder, SourcePlan, Verdict, files};
+use odograph_session::{AlikePlace, PlaceInMap, ResemblanceVerdict, RunBuilder, SourcePlan, files};
 use pyo3::prelude::*;
 use std::path::{Path, PathBuf};
 
 /// A map file, opened for reading only.
-#[pyclass(frozen, module = "odograph")]
-pub struct Map {
+#[pyclass(name = "Map", frozen, module = "odograph")]
+pub struct PyMap {
     path: PathBuf,
-    camera: Camera,
-    rig: Rig,
+    camera: PyCamera,
+    rig: PyRig,
     sessions: Vec<String>,
 }
 
@@ -36,19 +36,19 @@ const NAMELESS: &str = "the image";
 type Geotransform = (f64, f64, f64, f64, f64, f64);
 
 #[pymethods]
-impl Map {
+impl PyMap {
     #[new]
     fn new(path: PathBuf) -> Result<Self> {
         let file = MapFile::open_read_only(&path)?;
         let sessions = file.sessions()?.into_iter().map(|session| session.source).collect();
-        Ok(Self { camera: Camera(file.camera().clone()), rig: Rig(*file.rig()), sessions, path })
+        Ok(Self { camera: PyCamera(file.camera().clone()), rig: PyRig(*file.rig()), sessions, path })
     }
 
     /// Where a picture was taken in the map: a uint8 array H×W or H×W×3, or the path of a picture,
     /// a video or a folder (then its last known place). It must be of the map's camera, which may
     /// look anywhere over the mapped ground. motion is as of Odometry.
     #[pyo3(signature = (image, *, motion = "auto"))]
-    fn localize(&self, py: Python<'_>, image: SourceArgument<'_>, motion: &str) -> Result<Place> {
+    fn localize(&self, py: Python<'_>, image: SourceArgument<'_>, motion: &str) -> Result<PyPlace> {
         let motion = crate::odometry::motion(motion)?;
         let image = match image {
             SourceArgument::Path(path) => {
@@ -96,13 +96,13 @@ impl Map {
 
     /// The camera of the map.
     #[getter]
-    fn camera(&self) -> Camera {
+    fn camera(&self) -> PyCamera {
         self.camera.clone()
     }
 
     /// How it was mounted at the start of the first session.
     #[getter]
-    fn rig(&self) -> Rig {
+    fn rig(&self) -> PyRig {
         self.rig.clone()
     }
 
@@ -123,7 +123,7 @@ impl Map {
     }
 }
 
-impl Map {
+impl PyMap {
     /// Where a source was taken; `name` is what the sentences call it.
     fn place(
         &self,
@@ -131,12 +131,13 @@ impl Map {
         source: &str,
         name: &str,
         motion: odograph_core::MotionModel,
-    ) -> Result<Place> {
+    ) -> Result<PyPlace> {
         let run = RunBuilder::localizing(SourcePlan::new(source), &self.path).motion(motion);
         let (outcome, _) = followed(py, &run)?;
         let candidates = outcome.resemblance.as_ref().map_or(Vec::new(), |alike| alike.places.clone());
-        let verdict = outcome.resemblance.as_ref().map_or(Verdict::TooFewFeatures, |alike| alike.verdict);
-        Ok(Place {
+        let verdict =
+            outcome.resemblance.as_ref().map_or(ResemblanceVerdict::TooFewFeatures, |alike| alike.verdict);
+        Ok(PyPlace {
             message: outcome
                 .place
                 .is_none()
@@ -149,8 +150,8 @@ impl Map {
 }
 
 /// Where a camera is in a map, or why that is not known.
-#[pyclass(frozen, module = "odograph")]
-pub struct Place {
+#[pyclass(name = "Place", frozen, module = "odograph")]
+pub struct PyPlace {
     place: Option<PlaceInMap>,
     verdict: &'static str,
     message: Option<String>,
@@ -158,7 +159,7 @@ pub struct Place {
 }
 
 #[pymethods]
-impl Place {
+impl PyPlace {
     /// Whether the place is known.
     #[getter]
     fn found(&self) -> bool {

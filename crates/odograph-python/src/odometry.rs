@@ -6,7 +6,7 @@ use crate::error::{Failure, Result};
 use crate::pixels::Pixels;
 use numpy::ndarray::{Array1, Array2};
 use numpy::{IntoPyArray, PyArray1};
-use odograph_core::odometry::{Odometry as CoreOdometry, OdometryConfig, TrackView};
+use odograph_core::odometry::{Odometry, OdometryConfig, TrackView};
 use odograph_core::trajectory::{FrameEstimate, PoseEstimate};
 use odograph_core::{GroundPose, MotionModel};
 use pyo3::prelude::*;
@@ -38,17 +38,17 @@ pub fn motion(name: &str) -> Result<MotionModel> {
 /// the camera's size, black where there is no ground.
 ///
 /// Loops are not closed here, and a wrong tilt or lens is not sought: run does that.
-#[pyclass(frozen, module = "odograph")]
-pub struct Odometry(Mutex<CoreOdometry>);
+#[pyclass(name = "Odometry", frozen, module = "odograph")]
+pub struct PyOdometry(Mutex<Odometry>);
 
-impl Odometry {
-    fn held(&self) -> MutexGuard<'_, CoreOdometry> {
+impl PyOdometry {
+    fn held(&self) -> MutexGuard<'_, Odometry> {
         self.0.lock().unwrap_or_else(PoisonError::into_inner)
     }
 }
 
 #[pymethods]
-impl Odometry {
+impl PyOdometry {
     #[new]
     #[pyo3(signature = (camera, height = None, *, rig = None, motion = "auto", mask = None))]
     fn new(
@@ -66,7 +66,7 @@ impl Odometry {
         })?;
         let mut config = OdometryConfig::default();
         config.motion.model = self::motion(motion)?;
-        let odometry = CoreOdometry::new(camera.read()?, rig, config)?;
+        let odometry = Odometry::new(camera.read()?, rig, config)?;
         let odometry = match mask {
             Some(picture) => odometry.with_mask(&Pixels::read(picture)?.gray()?)?,
             None => odometry,
@@ -77,13 +77,13 @@ impl Odometry {
     /// The estimate of the next frame: an image of the camera's size, uint8, H×W (gray) or H×W×3
     /// (RGB), of any strides, and its time t in seconds, later than the last. Other Python threads
     /// run meanwhile. A frame that could not be measured is no error: its status says why.
-    fn process(&self, py: Python<'_>, image: &Bound<'_, PyAny>, t: f64) -> Result<Frame> {
+    fn process(&self, py: Python<'_>, image: &Bound<'_, PyAny>, t: f64) -> Result<PyFrame> {
         let pixels = Pixels::read(image)?;
         Ok(py.detach(|| {
             let image = pixels.gray()?;
             let mut odometry = self.held();
             let estimate = odometry.process(image, t)?;
-            odograph_core::Result::Ok(Frame { estimate, tracks: odometry.tracks().to_vec() })
+            odograph_core::Result::Ok(PyFrame { estimate, tracks: odometry.tracks().to_vec() })
         })?)
     }
 
@@ -100,13 +100,13 @@ impl Odometry {
 
 /// What odometry says of one frame. World x is forward at the start, y left, z up; the first frame
 /// is the origin.
-#[pyclass(frozen, module = "odograph")]
-pub struct Frame {
+#[pyclass(name = "Frame", frozen, module = "odograph")]
+pub struct PyFrame {
     estimate: FrameEstimate,
     tracks: Vec<TrackView>,
 }
 
-impl Frame {
+impl PyFrame {
     fn known(&self) -> Option<&PoseEstimate> {
         self.estimate.estimate.as_ref()
     }
@@ -117,7 +117,7 @@ impl Frame {
 }
 
 #[pymethods]
-impl Frame {
+impl PyFrame {
     /// Number of the frame, from 0.
     #[getter]
     fn frame(&self) -> u64 {

@@ -3,7 +3,7 @@
 use crate::camera::{CameraArgument, RigArgument, mount, warn};
 use crate::error::{Failure, Result};
 use crate::odometry::motion;
-use crate::trajectory::Trajectory;
+use crate::trajectory::PyTrajectory;
 use odograph_core::trajectory::FrameEstimate;
 use odograph_session::{MapUse, Observer, RunBuilder, RunOutcome, SensorFiles, SourcePlan};
 use pyo3::prelude::*;
@@ -71,7 +71,7 @@ pub fn run(
     mask: Option<PathBuf>,
     loops: bool,
     threads: Option<usize>,
-) -> Result<Trajectory> {
+) -> Result<PyTrajectory> {
     if camera.is_some() && field_of_view.is_some() {
         return Err(Failure::usage(
             "camera and field_of_view are both given; a camera has its field of view",
@@ -146,7 +146,7 @@ pub fn run(
     let run = threads.into_iter().fold(run, RunBuilder::threads);
     let (outcome, frames) = followed(py, &run)?;
     outcome.warnings.iter().try_for_each(|warning| warn(py, warning))?;
-    Trajectory::new(frames, outcome, output.is_some())
+    PyTrajectory::new(frames, outcome, output.is_some())
 }
 
 /// Hears of a run, and asks it to end.

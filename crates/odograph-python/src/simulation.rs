@@ -1,7 +1,7 @@
-//! Rendered drives with exact truth.
+//! Simulation drives with exact truth.
 
 use crate::arrays::{Matrices, Vector, transforms, vector};
-use crate::camera::{Camera, CameraArgument, Rig, RigArgument, mount};
+use crate::camera::{CameraArgument, PyCamera, PyRig, RigArgument, mount};
 use crate::error::{Failure, Result};
 use numpy::ndarray::{Array2, Array3};
 use numpy::{IntoPyArray, PyArrayDyn};
@@ -11,8 +11,7 @@ use odograph_core::formats::{camera_file, rig_file};
 use odograph_core::trajectory::{StampedPose, Trajectory};
 use odograph_session::files;
 use odograph_simulation::{
-    Effects, Path, PathKind, RenderedFrame, Simulation as Rendered, SimulationConfig, Texture,
-    ordinary_camera,
+    Effects, Path, PathKind, RenderedFrame, Simulation, SimulationConfig, Texture, ordinary_camera,
 };
 use pyo3::exceptions::PyIndexError;
 use pyo3::prelude::*;
@@ -23,8 +22,8 @@ use std::{fs, thread};
 
 /// A rendered drive: a sequence of images with exact truth. Frame i is rendered when it is asked
 /// for, as a uint8 array, H×W or, in colour, H×W×3; the same drive always has the same bytes.
-#[pyclass(frozen, sequence, module = "odograph")]
-pub struct Simulation(Rendered);
+#[pyclass(name = "Simulation", frozen, sequence, module = "odograph")]
+pub struct PySimulation(Simulation);
 
 /// Renders a drive over flat ground.
 ///
@@ -62,7 +61,7 @@ pub fn simulate(
     readout: f64,
     color: bool,
     seed: u64,
-) -> Result<Simulation> {
+) -> Result<PySimulation> {
     let camera = match (camera, size) {
         (Some(_), Some(_)) => {
             return Err(Failure::usage("camera and size are both given; a camera has its image size"));
@@ -88,7 +87,7 @@ pub fn simulate(
         colored: color,
         seed,
     };
-    Ok(Simulation(py.detach(|| Rendered::new(config))?))
+    Ok(PySimulation(py.detach(|| Simulation::new(config))?))
 }
 
 /// The shape of a path by its name.
@@ -110,7 +109,7 @@ fn shape(name: &str, length: Option<f64>, duration: Option<f64>, seed: u64) -> R
     })
 }
 
-impl Simulation {
+impl PySimulation {
     /// The true poses.
     pub fn truth(&self) -> Trajectory {
         let stamped = |&time_s: &f64| StampedPose {
@@ -151,7 +150,7 @@ fn picture_name(number: u64) -> String {
 }
 
 #[pymethods]
-impl Simulation {
+impl PySimulation {
     fn __len__(&self) -> usize {
         self.0.len()
     }
@@ -231,14 +230,14 @@ impl Simulation {
 
     /// The camera.
     #[getter]
-    fn camera(&self) -> Camera {
-        Camera(self.0.config().camera.clone())
+    fn camera(&self) -> PyCamera {
+        PyCamera(self.0.config().camera.clone())
     }
 
     /// How it is mounted.
     #[getter]
-    fn rig(&self) -> Rig {
-        Rig(self.0.config().rig)
+    fn rig(&self) -> PyRig {
+        PyRig(self.0.config().rig)
     }
 
     fn __repr__(&self) -> String {

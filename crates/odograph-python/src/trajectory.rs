@@ -4,7 +4,7 @@ use crate::arrays::{Matrices, Vector, covariances, transforms, vector};
 use crate::error::{Failure, Result};
 use numpy::IntoPyArray;
 use numpy::ndarray::Array1;
-use odograph_core::trajectory::{FrameEstimate, PoseEstimate, StampedPose, Trajectory as CoreTrajectory};
+use odograph_core::trajectory::{FrameEstimate, PoseEstimate, StampedPose, Trajectory};
 use odograph_session::{RunEnd, RunOutcome};
 use pyo3::prelude::*;
 use pyo3::types::PyDict;
@@ -14,8 +14,8 @@ use std::path::PathBuf;
 ///
 /// The arrays have a row for each frame with a pose; of frames at the same time the first counts.
 /// World x is forward at the start, y left, z up.
-#[pyclass(frozen, module = "odograph")]
-pub struct Trajectory {
+#[pyclass(name = "Trajectory", frozen, module = "odograph")]
+pub struct PyTrajectory {
     /// Every frame in order.
     frames: Vec<FrameEstimate>,
     /// Indices of those with a pose, in strictly increasing time.
@@ -26,7 +26,7 @@ pub struct Trajectory {
     folder: Option<PathBuf>,
 }
 
-impl Trajectory {
+impl PyTrajectory {
     /// The frames and the outcome of a run; `kept` says whether its folder stays.
     pub fn new(frames: Vec<FrameEstimate>, outcome: RunOutcome, kept: bool) -> Result<Self> {
         let mut last_s = f64::NEG_INFINITY;
@@ -50,9 +50,9 @@ impl Trajectory {
     }
 
     /// The stamped poses.
-    pub fn stamped(&self) -> CoreTrajectory {
+    pub fn stamped(&self) -> Trajectory {
         let poses = self.posed.iter().filter_map(|&at| StampedPose::of_frame(&self.frames[at]));
-        CoreTrajectory { poses: poses.collect() }
+        Trajectory { poses: poses.collect() }
     }
 
     /// A number of every frame, NaN without a pose.
@@ -63,7 +63,7 @@ impl Trajectory {
 }
 
 #[pymethods]
-impl Trajectory {
+impl PyTrajectory {
     /// N times, seconds, strictly increasing.
     #[getter]
     fn timestamps<'py>(&self, py: Python<'py>) -> Vector<'py> {

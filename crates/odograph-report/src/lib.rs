@@ -22,6 +22,7 @@ pub mod evaluation_plot;
 mod figures;
 mod page;
 mod parts;
+mod photograph;
 mod plot;
 mod raster;
 

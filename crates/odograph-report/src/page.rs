@@ -4,10 +4,11 @@ use super::charts::over_time;
 use super::evaluation_plot;
 use super::figures::{RunFigures, sigmas, weakest};
 use super::parts::{card, head, number, warnings};
+use crate::photograph::photograph;
 use odograph::camera::Distortion;
 use odograph::drawing::MapDrawing;
 use odograph::drawing::scale::{duration_text, length_text};
-use odograph::drawing::svg::{data_uri, escape};
+use odograph::drawing::svg::escape;
 use odograph::filter::fusion::SensorReport;
 use odograph::geometry::GroundPoint;
 use odograph::trajectory::FrameSummary;
@@ -164,12 +165,10 @@ fn ground(input: &ReportInput<'_>, page: &mut String) {
             "<h2>The path over the ground</h2>\n<figure><figcaption><span>The frames, orthorectified at their poses, and the \
              path: <span class=\"key green\">start</span><span class=\"key red\">end</span>A pixel of {} is {} wide; its \
              world file has its position.</span></figcaption>\n<div class=\"over\">\
-             <img width=\"{}\" height=\"{}\" alt=\"Mosaic of the ground with the path\" src=\"{}\">{}</div></figure>",
+             {}{}</div></figure>",
             escape(mosaic.file_name),
             length_text(mosaic.placement.metres_per_pixel),
-            mosaic.width_px,
-            mosaic.height_px,
-            data_uri("image/png", mosaic.png),
+            photograph(mosaic.picture, "Mosaic of the ground with the path"),
             path_over(mosaic, input.frames)
         );
     }
@@ -189,7 +188,7 @@ fn path_over(mosaic: &ReportMosaic<'_>, frames: &[FrameSummary]) -> String {
     let mut lines: Vec<(u32, Vec<(f64, f64)>)> = vec![];
     for frame in frames {
         let Some(place) = &frame.place else { continue };
-        let at = mosaic.png_placement.pixel_from_ground(GroundPoint::new(place.x_m, place.y_m));
+        let at = mosaic.picture.placement.pixel_from_ground(GroundPoint::new(place.x_m, place.y_m));
         match lines.last_mut() {
             Some((segment, line)) if *segment == frame.segment => {
                 let last = line[line.len() - 1];
@@ -201,15 +200,17 @@ fn path_over(mosaic: &ReportMosaic<'_>, frames: &[FrameSummary]) -> String {
         }
     }
     // Pixel centres are at integers: the picture begins half a pixel before the first.
-    let mut svg =
-        format!("<svg viewBox=\"-0.5 -0.5 {} {}\" aria-hidden=\"true\">", mosaic.width_px, mosaic.height_px);
+    let mut svg = format!(
+        "<svg viewBox=\"-0.5 -0.5 {} {}\" aria-hidden=\"true\">",
+        mosaic.picture.width, mosaic.picture.height
+    );
     for class in ["casing", "path"] {
         for (_, line) in &lines {
             let points: Vec<String> = line.iter().map(|(x, y)| format!("{x:.1},{y:.1}")).collect();
             let _ = write!(svg, "<polyline class=\"{class}\" points=\"{}\"/>", points.join(" "));
         }
     }
-    let radius = mosaic.width_px.max(mosaic.height_px) as f64 / 130.0;
+    let radius = mosaic.picture.width.max(mosaic.picture.height) as f64 / 130.0;
     let ends =
         lines.first().and_then(|(_, line)| line.first()).zip(lines.last().and_then(|(_, line)| line.last()));
     // The start is a ring around the end, which may lie on it.

@@ -3,7 +3,7 @@ use odograph::camera::{Camera, Distortion, Rig};
 use odograph::drawing::{Backdrop, MapDrawing};
 use odograph::geometry::{GroundPoint, GroundPose, Pixel, Placement, Ray};
 use odograph::image::RgbImage;
-use odograph::mosaic::{Mosaic, MosaicOptions};
+use odograph::mosaic::{Mosaic, MosaicOptions, MosaicPicture};
 use odograph::trajectory::{FrameSummary, LossReason, PlaceSummary, TrackStatus};
 use odograph_session::ReportMosaic;
 use std::f64::consts::TAU;
@@ -193,14 +193,8 @@ fn the_path_lies_over_the_ground_it_saw() {
     let frames = figure_eight(600);
     // 4 m wide and 2 m high, 1 cm a pixel, the origin in the middle.
     let placement = Placement { metres_per_pixel: 0.01, x_m: -1.995, y_m: 0.995 };
-    let mosaic = ReportMosaic {
-        png: &[],
-        width_px: 400,
-        height_px: 200,
-        png_placement: placement,
-        placement,
-        file_name: "mosaic.png",
-    };
+    let picture = MosaicPicture { width: 400, height: 200, rgba: vec![255; 4 * 400 * 200], placement };
+    let mosaic = ReportMosaic { picture: &picture, placement, file_name: "mosaic.png" };
     let page = report_with(Some(mosaic), &frames, "drive", &[]);
     assert_sound(&page);
     let over = page.split("<div class=\"over\">").nth(1).unwrap().split("</svg>").next().unwrap();
@@ -318,14 +312,7 @@ fn a_look() {
         camera: &camera,
         rig: &Rig::level(0.5),
         map_svg: &plain.svg(&frames),
-        mosaic: Some(ReportMosaic {
-            png: &png,
-            width_px: small.width,
-            height_px: small.height,
-            png_placement: small.placement,
-            placement: whole.placement,
-            file_name: "mosaic.png",
-        }),
+        mosaic: Some(ReportMosaic { picture: &small, placement: whole.placement, file_name: "mosaic.png" }),
         run_toml: "height_m = 0.5\nmodel = \"rigid\"\nseed = 1\n",
         warnings: &["the video ends in the middle of a frame; 900 of about 905 frames were read".into()],
         sensors: &[],

@@ -1,6 +1,6 @@
 //! Configuration of a run.
 
-use crate::output::{MapUse, Output};
+use crate::output::{MapUse, RunOutput};
 use crate::plan::{FrameChoice, SourcePlan};
 use crate::report::RunReporter;
 use crate::sensors::SensorFiles;
@@ -49,7 +49,7 @@ pub struct RunBuilder {
     pub(crate) budget_ms: Option<f64>,
     pub(crate) loops: bool,
     pub(crate) reference: Option<PathBuf>,
-    pub(crate) output: Output,
+    pub(crate) output: RunOutput,
     pub(crate) reporter: Option<Arc<dyn RunReporter>>,
 }
 
@@ -86,7 +86,7 @@ impl RunBuilder {
             budget_ms: None,
             loops: true,
             reference: None,
-            output: Output::default(),
+            output: RunOutput::default(),
             reporter: None,
         }
     }
@@ -100,7 +100,7 @@ impl RunBuilder {
     /// A run that localizes an image or a recording in a map. Camera and mount are those of the
     /// map, which is not changed.
     pub fn localizing(source: SourcePlan, map: impl Into<PathBuf>) -> Self {
-        let output = Output { map: MapUse::LookInto(map.into()), least_frames: 1, ..Output::default() };
+        let output = RunOutput { map: MapUse::LookInto(map.into()), least_frames: 1, ..RunOutput::default() };
         Self { camera: Some(CameraChoice::OfMap), output, ..Self::over(source) }
     }
 

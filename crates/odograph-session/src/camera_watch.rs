@@ -7,7 +7,7 @@ use crate::plan::RunPlan;
 use odograph::camera::{Camera, Rig};
 use odograph::error::Result;
 use odograph::motion::MotionModel;
-use odograph::mounting::{CalibrationMonitor, Found};
+use odograph::mounting::{CalibrationMonitor, CalibrationUpdate};
 use odograph_map::MapFile;
 
 /// Watches for a different mount or lens during a recording, which is then tracked again with the
@@ -19,7 +19,7 @@ pub struct CameraWatch {
     again: bool,
     /// Whether the lens is a map's.
     lens_is_known: bool,
-    found: Option<Found>,
+    found: Option<CalibrationUpdate>,
 }
 
 /// Number of pairs of views from the beginning of the recording that are examined before a map is
@@ -61,7 +61,7 @@ impl CameraWatch {
     }
 
     /// Applies the estimates to the plan.
-    pub fn take(&mut self, found: Found, plan: &mut RunPlan) {
+    pub fn take(&mut self, found: CalibrationUpdate, plan: &mut RunPlan) {
         plan.rig = found.rig(&plan.rig);
         plan.camera = found.camera(&plan.camera);
         self.found = Some(found);
@@ -85,7 +85,11 @@ impl CameraWatch {
 }
 
 /// Differences of the camera from the plan at the beginning of the recording.
-fn look(plan: &RunPlan, mut monitor: CalibrationMonitor, observer: &dyn Observer) -> Result<Option<Found>> {
+fn look(
+    plan: &RunPlan,
+    mut monitor: CalibrationMonitor,
+    observer: &dyn Observer,
+) -> Result<Option<CalibrationUpdate>> {
     let mut source = plan.source.open()?;
     let mut odometry = plan.odometry()?;
     while let Some(frame) = source.next_frame()? {

@@ -50,7 +50,11 @@ pub fn read_text(path: &Path) -> Result<String> {
 pub fn read_text_within(path: &Path, most: u64) -> Result<String> {
     let mut text = String::new();
     fs::File::open(path).and_then(|file| file.take(most + 1).read_to_string(&mut text)).map_err(|error| {
-        Error::input(format!("{} cannot be read: {error}", path.display())).caused_by(error)
+        Error::input(match error.kind() {
+            io::ErrorKind::InvalidData => format!("{} is not a text file", path.display()),
+            _ => format!("{} cannot be read: {error}", path.display()),
+        })
+        .caused_by(error)
     })?;
     if text.len() as u64 > most {
         return Err(Error::input(format!(

@@ -10,15 +10,15 @@ use crate::found::{FoundLens, FoundReadout};
 use crate::kept_frames::KeptFrames;
 use crate::observer::Observer;
 use crate::outcome::{RunEnd, RunOutcome};
-use crate::output::Output;
+use crate::output::RunOutput;
 use crate::pipeline::Tracked;
 use crate::place::PlaceInMap;
 use crate::plan::RunPlan;
 use crate::report::RunReporter;
 use crate::resemblance::Resemblance;
-use crate::ros_bag::RosBag;
+use crate::ros_bag::RosBagWriter;
 use crate::statistics::{
-    BudgetStatistics, LoopStatistics, SensorStatistics, StageTime, Statistics, interruption,
+    BudgetStatistics, LoopStatistics, RunStatistics, SensorStatistics, StageTime, interruption,
     peak_memory_bytes,
 };
 use crate::{files, pictures, reference, tilt};
@@ -41,7 +41,7 @@ pub struct Ending<'a> {
     pub sensors: &'a Sensors,
     /// Positions by a satellite receiver.
     pub gnss: Option<&'a GnssRecord>,
-    pub output: &'a Output,
+    pub output: &'a RunOutput,
     pub reporter: Option<&'a dyn RunReporter>,
     pub observer: &'a dyn Observer,
     /// When the run began.
@@ -60,7 +60,7 @@ pub fn finish(
     tracked.recalibrated.iter().for_each(|(frame, rig)| of.recalibrate(*frame, rig));
     let failure = ended_early(&mut tracked);
     let mut run = Finishing { failure, plan, of: of.clone(), tracked, folder, ending };
-    run.tell_camera()?;
+    run.report_calibration()?;
     let mut improved = run.improve(ending.sensors)?;
     run.write_paths(&mut improved)?;
     improved.observe(&mut run.tracked, &of, ending.observer)?;
@@ -124,7 +124,7 @@ impl Improved {
 }
 
 /// Fails if there are too few frames for a trajectory.
-fn enough(plan: &RunPlan, tracked: &mut Tracked, output: &Output) -> Result<()> {
+fn enough(plan: &RunPlan, tracked: &mut Tracked, output: &RunOutput) -> Result<()> {
     if tracked.frames.count() >= output.least_frames || tracked.interrupted {
         return Ok(());
     }
@@ -158,7 +158,7 @@ impl Finishing<'_> {
     }
 
     /// Warns where the estimated mount, lens or readout time differs from the plan.
-    fn tell_camera(&mut self) -> Result<()> {
+    fn report_calibration(&mut self) -> Result<()> {
         let warning = match &self.tracked.mount {
             Some(found) if self.tracked.live.is_some() => Some(found.live_sentence()),
             Some(found) => Some(found.sentence()),
@@ -194,7 +194,7 @@ impl Finishing<'_> {
         }
         let frames = fused.as_mut().unwrap_or(&mut tracked.frames);
         let straight = tracked.mapping.straighten(frames, !reckoned.is_empty(), self.folder.path())?;
-        let reckoned = reckoned.laid(&straight.moves);
+        let reckoned = reckoned.moved_with(&straight.moves);
         let loops = tracked.mapping.statistics(&straight);
         tracked.warnings.extend(tracked.mapping.warning());
         tracked.warnings.extend(self.plan.sensors.warnings(&reports));
@@ -250,7 +250,7 @@ impl Finishing<'_> {
         }
         let mut in_map = in_map.into_iter();
         files::write_with(path, |output| {
-            let mut bag = RosBag::new(path, output, self.of.clone())?;
+            let mut bag = RosBagWriter::new(path, output, self.of.clone())?;
             self.tracked.frames.each(|frame, _| bag.add(frame, in_map.next().flatten().as_ref()))?;
             bag.finish()
         })?;
@@ -347,7 +347,7 @@ impl Finishing<'_> {
         let threads = self.ending.output.threads();
         let tracked = &mut self.tracked;
         let corrected = corrected.unwrap_or(&mut tracked.frames);
-        let rendered = tracked.views.lay(&self.plan.camera, corrected, &mut tracked.mapping, threads);
+        let rendered = tracked.views.render(&self.plan.camera, corrected, &mut tracked.mapping, threads);
         let mosaic = rendered.unwrap_or_else(|error| {
             self.fail("there is no picture of the ground", error);
             Mosaic::new(Default::default())
@@ -458,7 +458,7 @@ fn statistics_of(
     loops: LoopStatistics,
     gnss: Option<GnssStatistics>,
     elapsed: Duration,
-) -> Statistics {
+) -> RunStatistics {
     let posed = |i: usize| frames[i].place.is_some();
     let losses = (0..frames.len()).filter(|&i| !posed(i) && (i == 0 || posed(i - 1))).count();
     let duration_s = match (frames.first(), frames.last()) {
@@ -466,7 +466,7 @@ fn statistics_of(
         _ => 0.0,
     };
     let rate = |s: f64| if s > 0.0 { frames.len() as f64 / s } else { 0.0 };
-    Statistics {
+    RunStatistics {
         frames: frames.len() as u64,
         frames_with_pose: frames.iter().filter(|f| f.status == TrackStatus::Tracked).count() as u64,
         duration_s,

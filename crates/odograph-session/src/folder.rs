@@ -3,8 +3,8 @@
 
 use crate::files;
 use crate::kept_frames::KeptFrames;
-use crate::output::{MapUse, Output};
-use crate::statistics::Statistics;
+use crate::output::{MapUse, RunOutput};
+use crate::statistics::RunStatistics;
 use odograph::error::{Error, Result};
 use odograph::formats::trajectory_file::{self, FRAMES_HEADER, frame_line, tum_header, tum_line};
 use odograph::pose_frame::{PoseFrame, PoseFrames};
@@ -84,7 +84,7 @@ const GROUP: usize = 30;
 impl OutputFolder {
     /// Prepares the folder and claims the map that will be written. Fails where results exist that
     /// may not be replaced, where another program writes, or where nothing can be written.
-    pub fn new(path: &Path, output: &Output) -> Result<Self> {
+    pub fn new(path: &Path, output: &RunOutput) -> Result<Self> {
         let force = output.force;
         if path.exists() && !path.is_dir() {
             return Err(Error::usage(format!("{} is a file; the results need a folder", path.display())));
@@ -249,7 +249,7 @@ impl OutputFolder {
     }
 
     /// Writes the statistics, the last file: if it exists the output is complete.
-    pub fn finish(&mut self, statistics: &Statistics) -> Result<()> {
+    pub fn finish(&mut self, statistics: &RunStatistics) -> Result<()> {
         self.write("stats.json", (statistics.json()? + "\n").as_bytes())
     }
 }

@@ -37,9 +37,11 @@ impl FixedInImage {
 #[derive(Debug, Clone, Copy, PartialEq, Serialize)]
 pub struct FoundMount {
     /// Nominal roll from the vertical, degrees.
-    pub told_roll_deg: f64,
+    #[serde(rename = "told_roll_deg")]
+    pub given_roll_deg: f64,
     /// Nominal pitch from the vertical, degrees.
-    pub told_pitch_deg: f64,
+    #[serde(rename = "told_pitch_deg")]
+    pub given_pitch_deg: f64,
     /// Estimated roll, degrees.
     pub roll_deg: f64,
     /// Estimated pitch, degrees.
@@ -51,10 +53,10 @@ pub struct FoundMount {
 }
 
 impl FoundMount {
-    pub(crate) fn new(told: &Rig, found: &TiltMeasurement) -> Self {
+    pub(crate) fn new(given: &Rig, found: &TiltMeasurement) -> Self {
         Self {
-            told_roll_deg: told.roll_rad.to_degrees(),
-            told_pitch_deg: told.pitch_rad.to_degrees(),
+            given_roll_deg: given.roll_rad.to_degrees(),
+            given_pitch_deg: given.pitch_rad.to_degrees(),
             roll_deg: found.roll_rad.to_degrees(),
             pitch_deg: found.pitch_rad.to_degrees(),
             roll_deviation_deg: found.covariance[(0, 0)].sqrt().to_degrees(),
@@ -68,7 +70,7 @@ impl FoundMount {
             "the camera sits at a roll of {:+.2}° and a pitch of {:+.2}°, not at {:+.2}° and {:+.2}° as \
              given; this was estimated while driving and used from then on, and the path before it is \
              bent: give them with --rig",
-            self.roll_deg, self.pitch_deg, self.told_roll_deg, self.told_pitch_deg
+            self.roll_deg, self.pitch_deg, self.given_roll_deg, self.given_pitch_deg
         )
     }
 
@@ -77,7 +79,7 @@ impl FoundMount {
         format!(
             "the camera is mounted at a roll of {:+.2}° and a pitch of {:+.2}°, not at {:+.2}° and {:+.2}° as given; this was \
              found in the recording and used",
-            self.roll_deg, self.pitch_deg, self.told_roll_deg, self.told_pitch_deg
+            self.roll_deg, self.pitch_deg, self.given_roll_deg, self.given_pitch_deg
         )
     }
 }
@@ -99,7 +101,8 @@ pub struct FoundCoefficient {
     /// Its name.
     pub name: &'static str,
     /// Nominal value.
-    pub told: f64,
+    #[serde(rename = "told")]
+    pub given: f64,
     /// Estimated value.
     pub found: f64,
     /// Standard deviation of the estimate.
@@ -107,17 +110,17 @@ pub struct FoundCoefficient {
 }
 
 impl FoundLens {
-    pub(crate) fn new(told: &Camera, found: &LensMeasurement) -> Self {
-        let both = found.coefficients.iter().zip(found.coefficients_of(told));
-        let coefficients = both.map(|(found, told)| FoundCoefficient {
+    pub(crate) fn new(given: &Camera, found: &LensMeasurement) -> Self {
+        let both = found.coefficients.iter().zip(found.coefficients_of(given));
+        let coefficients = both.map(|(found, given)| FoundCoefficient {
             name: found.name,
-            told,
+            given,
             found: found.value,
             deviation: found.deviation,
         });
         Self {
             coefficients: coefficients.collect(),
-            off_px: found.off_from_px(told),
+            off_px: found.off_from_px(given),
             deviation_px: found.deviation_px,
         }
     }
@@ -136,7 +139,7 @@ impl FoundLens {
             "the lens bends with {}, not with {} as the camera file says, which is {:.1} px at the edge of the image: the path was followed with the \
              former, which is in camera-found.yaml; odograph calibrate measures it, --motion rigid insists on the camera file",
             of(|known| known.found),
-            of(|known| known.told),
+            of(|known| known.given),
             self.off_px
         )
     }
@@ -156,6 +159,9 @@ pub struct FoundReadout {
 /// Largest standard deviation of a known readout time, milliseconds: at 0.5 m/s over a view of 0.5
 /// m it makes distances uncertain by 0.1 %.
 const UNKNOWN_MS: f64 = 1.0;
+
+/// A readout time within this many standard deviations of zero is that of a global shutter.
+const GLOBAL_SIGMAS: f64 = 3.0;
 
 impl FoundReadout {
     /// The readout time at the end of a run; `None` where the shutter was taken to be global.
@@ -180,16 +186,38 @@ impl FoundReadout {
         if given || (readout_ms == 0.0 && deviation_ms == 0.0) {
             return None;
         }
-        Some(if !self.is_known() {
+        Some(if self.is_known() && readout_ms.abs() <= GLOBAL_SIGMAS * deviation_ms {
+            format!(
+                "the shutter is global: the readout time was found to be {readout_ms:.2} ± {deviation_ms:.2} ms; --readout-ms 0 or \
+                 readout_time_s in the camera file tells it from the start"
+            )
+        } else if !self.is_known() {
             format!(
                 "the readout time of the image ({readout_ms:.1} ± {deviation_ms:.1} ms) could not be learned: nothing \
-                 changed speed or turned enough; --readout-ms tells it, and 0 says that the shutter is global"
+                 changed speed or turned enough; --readout-ms gives it, and 0 says that the shutter is global"
             )
         } else {
             format!(
                 "the camera has a rolling shutter: the image is read in {readout_ms:.2} ± {deviation_ms:.2} ms; \
-                 --readout-ms or readout_time_s in the camera file tells it from the start"
+                 --readout-ms or readout_time_s in the camera file gives it from the start"
             )
         })
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_readout_time_of_nothing_is_a_global_shutter() {
+        let sentence = |readout_ms, deviation_ms, given| {
+            FoundReadout { readout_ms, deviation_ms, given }.sentence().unwrap_or_default()
+        };
+        assert!(sentence(0.0, 0.27, false).contains("the shutter is global"));
+        assert!(sentence(-0.3, 0.27, false).contains("the shutter is global"));
+        assert!(sentence(19.8, 0.27, false).contains("rolling shutter: the image is read in 19.80"));
+        assert!(sentence(3.0, 4.0, false).contains("could not be learned"));
+        assert_eq!(sentence(20.0, 0.0, true), "");
     }
 }

@@ -35,6 +35,7 @@
 //! | use a gyroscope, compass, wheel or range finder | [`RunBuilder::sensors`] |
 //! | run again exactly | [`RunBuilder::repeating`] with the folder's `run.toml` |
 //! | follow a camera as it moves | the feature `live`, then `RunBuilder::open_live` |
+//! | know what will limit the accuracy, before a run | [`RunBuilder::examine`] |
 //! | have `report.html` and `map.png` | [`RunBuilder::reporter`] with `odograph-report` |
 //!
 //! The modules are listed in the order of their dependencies: a module imports only modules listed
@@ -78,11 +79,13 @@ mod pictures;
 mod pipeline;
 mod finish;
 mod run;
+mod doctor;
 #[cfg(feature = "live")]
 pub mod live;
 
 pub use budget::Budget;
 pub use builder::RunBuilder;
+pub use doctor::{Diagnosis, Finding, Judgement};
 pub use earth_statistics::{EarthStatistics, GnssOutlier, GnssStatistics};
 pub use folder::RUN_FILES;
 pub use found::{FixedInImage, FoundCoefficient, FoundLens, FoundMount, FoundReadout};
@@ -93,11 +96,11 @@ pub use place::PlaceInMap;
 pub use plan::{FrameChoice, RunPlan, SourcePlan};
 pub use reference::ComparedReference;
 pub use report::{ReportInput, ReportMosaic, RunReporter};
-pub use resemblance::{AlikePlace, Resemblance, Verdict};
+pub use resemblance::{AlikePlace, Resemblance, ResemblanceVerdict};
 pub use rig::{doubtful_unit, read_rig};
 pub use run::Run;
 pub use sensors::SensorFiles;
 pub use statistics::{
-    BudgetStatistics, LiveStatistics, LoopStatistics, SensorStatistics, StageTime, Statistics,
+    BudgetStatistics, LiveStatistics, LoopStatistics, RunStatistics, SensorStatistics, StageTime,
 };
 pub use trajectory_input::{LoadedTrajectory, read_trajectory, read_trajectory_text};

@@ -242,7 +242,7 @@ impl Mapping {
     /// all ground is this run's, its `mosaic` is reused. Returns a warning where the file lacks the
     /// mosaic of some ground: because the run was interrupted, or because most of a continued map
     /// is of earlier runs, which are not rendered again for every short one.
-    pub fn lay_ground(&mut self, mosaic: &Mosaic, observer: &dyn Observer) -> Result<Option<String>> {
+    pub fn render_ground(&mut self, mosaic: &Mosaic, observer: &dyn Observer) -> Result<Option<String>> {
         let map = self.mapper.map();
         let session = self.mapper.session();
         let own = map.keyframes.iter().filter(|keyframe| keyframe.session == session).count();
@@ -256,16 +256,16 @@ impl Mapping {
         if alone && before.is_none() && file.set_mosaic(&mosaic.coarser())? {
             return Ok(None);
         }
-        let laid = !short && {
+        let rendered = !short && {
             let resolution_m = before.as_ref().map_or(coarse_m, |layer| layer.resolution_m);
-            file.lay_mosaic(Some(resolution_m), &mut |_| !observer.is_stop_asked())?
+            file.render_mosaic(Some(resolution_m), &mut |_| !observer.is_stop_asked())?
         };
         let path = self.file.path.display();
-        Ok((!laid).then(|| match before {
+        Ok((!rendered).then(|| match before {
             Some(_) => format!(
-                "the picture of the ground in {path} is that of before this run; odograph map mosaic {path} lays it anew"
+                "the mosaic in {path} does not show this run yet; odograph map mosaic {path} renders it again"
             ),
-            None => format!("{path} has no picture of the ground; odograph map mosaic {path} lays it"),
+            None => format!("{path} has no picture of the ground; odograph map mosaic {path} renders it"),
         }))
     }
 

@@ -2,7 +2,7 @@
 
 use crate::place::PlaceInMap;
 use crate::resemblance::Resemblance;
-use crate::statistics::Statistics;
+use crate::statistics::RunStatistics;
 use odograph::trajectory::FrameSummary;
 use std::path::PathBuf;
 
@@ -19,7 +19,7 @@ pub enum RunEnd {
 }
 
 impl RunEnd {
-    pub(crate) fn of(statistics: &Statistics) -> Self {
+    pub(crate) fn of(statistics: &RunStatistics) -> Self {
         if statistics.interruption().is_some() {
             return Self::Interrupted;
         }
@@ -40,7 +40,7 @@ pub struct RunOutcome {
     /// All frames in order, with loops closed and other sensors used, as `trajectory.csv` has them.
     pub trajectory: Vec<FrameSummary>,
     /// The statistics of `stats.json`.
-    pub statistics: Statistics,
+    pub statistics: RunStatistics,
     /// Warnings about the result, one sentence each.
     pub warnings: Vec<String>,
     /// The output folder.

@@ -33,7 +33,7 @@ impl MapUse {
 
 /// Output folder, permission to overwrite, and number of threads.
 #[derive(Debug, Clone)]
-pub(crate) struct Output {
+pub(crate) struct RunOutput {
     /// `None`: a temporary folder, which is removed at the end.
     pub folder: Option<PathBuf>,
     pub force: bool,
@@ -46,13 +46,13 @@ pub(crate) struct Output {
     pub least_frames: usize,
 }
 
-impl Default for Output {
+impl Default for RunOutput {
     fn default() -> Self {
         Self { folder: None, force: false, map: MapUse::New, bag: None, threads: None, least_frames: 2 }
     }
 }
 
-impl Output {
+impl RunOutput {
     /// Number of threads: three by default, for decoding, tracking and mapping.
     pub fn threads(&self) -> usize {
         self.threads.unwrap_or(3)

@@ -32,8 +32,8 @@ pub struct DrawingInputs<'a> {
 
 /// Drawings for the report.
 pub struct Drawn {
-    /// Downscaled mosaic as PNG, and the file name of the full one.
-    small: Option<(MosaicPicture, Vec<u8>, Placement)>,
+    /// Downscaled mosaic, and the georeference of the full one.
+    small: Option<(MosaicPicture, Placement)>,
     /// The path without the mosaic, which the report shows separately.
     path_svg: String,
     /// A warning where the map file lacks the mosaic of some ground.
@@ -55,7 +55,7 @@ pub fn write(
     let placement = bands.as_ref().map(|bands| bands.placement);
     let keep = || {
         let png = bands.map(|bands| files::png_from_rgba_bands(bands.width, bands.height, bands)).transpose();
-        (png, mapping.lay_ground(mosaic, observer))
+        (png, mapping.render_ground(mosaic, observer))
     };
     let (drawn, (png, ground)) = if threads > 1 {
         thread::scope(|scope| {
@@ -80,22 +80,19 @@ pub fn write(
 
 /// Writes the drawing with a downscaled mosaic of this georeference. Returns both, and the drawing
 /// without the mosaic.
-#[expect(clippy::type_complexity, reason = "two parts of `Drawn`")]
 fn draw(
     plan: &RunPlan,
     shown: &DrawingInputs<'_>,
     placement: Option<Placement>,
     folder: &mut OutputFolder,
     reporter: Option<&dyn RunReporter>,
-) -> Result<(Option<(MosaicPicture, Vec<u8>, Placement)>, String)> {
+) -> Result<(Option<(MosaicPicture, Placement)>, String)> {
     let small = shown.mosaic.picture_within(LONGEST_SIDE_PX).zip(placement);
-    let encode = |(mosaic, placement): (MosaicPicture, Placement)| {
-        let png = files::png_from_rgba(mosaic.width, mosaic.height, &mosaic.rgba)?;
-        // The report names the full-size file, though it shows a smaller image.
-        Ok((mosaic, png, placement))
-    };
-    let small = small.map(encode).transpose()?;
-    let backdrop = small.as_ref().map(|(mosaic, png, _)| Backdrop {
+    let png = small
+        .as_ref()
+        .map(|(mosaic, _)| files::png_from_rgba(mosaic.width, mosaic.height, &mosaic.rgba))
+        .transpose()?;
+    let backdrop = small.as_ref().zip(png.as_ref()).map(|((mosaic, _), png)| Backdrop {
         png,
         width_px: mosaic.width,
         height_px: mosaic.height,
@@ -131,11 +128,9 @@ pub fn write_page(
         camera: &plan.camera,
         rig: &plan.rig,
         map_svg: &drawn.path_svg,
-        mosaic: drawn.small.as_ref().map(|(mosaic, png, placement)| ReportMosaic {
-            png,
-            width_px: mosaic.width,
-            height_px: mosaic.height,
-            png_placement: mosaic.placement,
+        // The report names the full-size file, though it shows a smaller image.
+        mosaic: drawn.small.as_ref().map(|(picture, placement)| ReportMosaic {
+            picture,
             placement: *placement,
             file_name: "mosaic.png",
         }),

@@ -6,14 +6,14 @@ use crate::found::{FixedInImage, FoundLens, FoundMount, FoundReadout};
 use crate::kept_frames::KeptFrames;
 use crate::mapping::Mapping;
 use crate::observer::Observer;
-use crate::output::Output;
+use crate::output::RunOutput;
 use crate::plan::RunPlan;
 use crate::statistics::LiveStatistics;
 use crate::timings::Timings;
 use crate::views::{MosaicFrames, Posed};
 use odograph::camera::{Camera, Rig};
 use odograph::error::{Error, Result};
-use odograph::mounting::{CalibrationMonitor, Found};
+use odograph::mounting::{CalibrationMonitor, CalibrationUpdate};
 use odograph::odometry::{KeyframeEvent, Odometry};
 use odograph::pose_frame::PoseFrame;
 use odograph::trajectory::FrameEstimate;
@@ -59,7 +59,7 @@ pub enum Ended {
     /// At the end of the source.
     Tracked(Box<Tracked>),
     /// At a frame where self-calibration is certain that the camera differs from the plan.
-    IsAnother(Box<Found>),
+    IsAnother(Box<CalibrationUpdate>),
 }
 
 /// Processing times of each frame per stage.
@@ -90,12 +90,12 @@ pub fn track(
     plan: &RunPlan,
     source: Source,
     folder: &mut OutputFolder,
-    output: &Output,
+    output: &RunOutput,
     self_calibration: Option<CalibrationMonitor>,
     observer: &dyn Observer,
 ) -> Result<Ended> {
     let mut odometry = plan.odometry()?;
-    odometry.tell_keyframes();
+    odometry.record_keyframes();
     let mapping = Mapping::new(plan, folder, &output.map)?;
     let views = MosaicFrames::new(&plan.camera, folder.path());
     let mut tracking = Tracking {
@@ -252,7 +252,7 @@ struct Tracking<'a> {
     calibration_times: Timings,
     self_calibration: Option<CalibrationMonitor>,
     /// Its result: the pass ends there.
-    found: Option<Found>,
+    found: Option<CalibrationUpdate>,
     observer: &'a dyn Observer,
     folder: &'a mut OutputFolder,
 }

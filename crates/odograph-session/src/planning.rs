@@ -22,12 +22,12 @@ impl RunBuilder {
         open: impl FnOnce(&SourcePlan) -> Result<(S, (usize, usize))>,
     ) -> Result<(RunPlan, S)> {
         // An unreadable camera or map is reported before a source that may take long to open.
-        let told = ToldCamera::by(self)?;
-        let rig = told.rig(self, observer)?;
+        let given = GivenCamera::by(self)?;
+        let rig = given.rig(self, observer)?;
         let (source, size) = open(&self.source)?;
-        let by_field = matches!(told, ToldCamera::Field(_));
+        let by_field = matches!(given, GivenCamera::Field(_));
         let of_map = matches!(self.camera, Some(CameraChoice::OfMap));
-        let camera = told.camera(size, rig.height_m)?;
+        let camera = given.camera(size, rig.height_m)?;
         let camera = match self.readout_s {
             Some(seconds) => camera.with_readout_s(Some(seconds))?,
             None => camera,
@@ -91,7 +91,7 @@ impl RunBuilder {
 }
 
 /// Source of the camera, with the files already read.
-enum ToldCamera<'a> {
+enum GivenCamera<'a> {
     /// The file and its content.
     File(&'a Path, String),
     Known(&'a Camera),
@@ -103,7 +103,7 @@ enum ToldCamera<'a> {
     Recording(&'a SourcePlan),
 }
 
-impl<'a> ToldCamera<'a> {
+impl<'a> GivenCamera<'a> {
     fn by(builder: &'a RunBuilder) -> Result<Self> {
         let map = builder.output.map.path();
         let there = map.filter(|map| MapFile::is_there(map));

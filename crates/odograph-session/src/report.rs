@@ -5,6 +5,7 @@ use odograph::camera::{Camera, Rig};
 use odograph::error::Result;
 use odograph::filter::fusion::SensorReport;
 use odograph::geometry::Placement;
+use odograph::mosaic::MosaicPicture;
 use odograph::trajectory::FrameSummary;
 
 /// Renders `map.png` and `report.html`.
@@ -55,14 +56,8 @@ pub struct ReportInput<'a> {
 /// The mosaic as displayed in the report.
 #[derive(Debug, Clone, Copy)]
 pub struct ReportMosaic<'a> {
-    /// The bytes of a PNG file, downscaled to what a page needs.
-    pub png: &'a [u8],
-    /// Width of the PNG, pixels.
-    pub width_px: usize,
-    /// Height of the PNG, pixels.
-    pub height_px: usize,
-    /// Georeference of the PNG.
-    pub png_placement: Placement,
+    /// The mosaic, downscaled to what a page needs.
+    pub picture: &'a MosaicPicture,
     /// Georeference of the full-resolution mosaic.
     pub placement: Placement,
     /// File name of the full-resolution mosaic.

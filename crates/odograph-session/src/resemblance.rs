@@ -3,7 +3,7 @@
 use odograph::geometry::wrap_angle;
 use odograph::ground_map::MapKeyframe;
 use odograph::keyframe::KeyframeId;
-use odograph::keyframe::relative_pose::laid_from;
+use odograph::keyframe::relative_pose::compose;
 use odograph::place_recognition::{PlaceHypothesis, PlaceIndex, PlacesConfig};
 use odograph::slam::Mapper;
 use serde::Serialize;
@@ -14,14 +14,14 @@ use std::path::Path;
 #[derive(Debug, Clone, PartialEq)]
 pub struct Resemblance {
     /// Why it was not recognised.
-    pub verdict: Verdict,
+    pub verdict: ResemblanceVerdict,
     /// The places with evidence for them, best first.
     pub places: Vec<AlikePlace>,
 }
 
 /// Why a recording was not recognised.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
-pub enum Verdict {
+pub enum ResemblanceVerdict {
     /// No place of the map looks more like it than foreign ground does by chance.
     NeverSeen,
     /// Cannot tell: it shows too few features to be recognised anywhere.
@@ -32,7 +32,7 @@ pub enum Verdict {
     Ambiguous,
 }
 
-impl Verdict {
+impl ResemblanceVerdict {
     /// Name in JSON.
     pub fn name(self) -> &'static str {
         match self {
@@ -152,10 +152,10 @@ impl Resemblance {
             one.matches >= REPEATED_FEATURES && one.matches as f64 >= REPEATED_SHARE * one.shared as f64
         };
         let verdict = match places.first() {
-            Some(_) => Verdict::Ambiguous,
-            None if hypotheses.iter().any(repeats) => Verdict::Repeats,
-            None if features < MIN_FEATURES => Verdict::TooFewFeatures,
-            None => Verdict::NeverSeen,
+            Some(_) => ResemblanceVerdict::Ambiguous,
+            None if hypotheses.iter().any(repeats) => ResemblanceVerdict::Repeats,
+            None if features < MIN_FEATURES => ResemblanceVerdict::TooFewFeatures,
+            None => ResemblanceVerdict::NeverSeen,
         };
         Some(Self { verdict, places })
     }
@@ -172,7 +172,7 @@ fn places(hypotheses: &[PlaceHypothesis], keyframes: &BTreeMap<KeyframeId, &MapK
     evident.sort_by(|a, b| evidence_of(b).total_cmp(&evidence_of(a)));
     for hypothesis in evident {
         let Some(keyframe) = keyframes.get(&hypothesis.keyframe) else { continue };
-        let pose = laid_from(&keyframe.pose, &hypothesis.motion, 1.0);
+        let pose = compose(&keyframe.pose, &hypothesis.motion, 1.0);
         let place = AlikePlace {
             probability: 1.0,
             x_m: pose.x_m,

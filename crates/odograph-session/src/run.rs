@@ -7,7 +7,7 @@ use crate::finish::{Ending, finish};
 use crate::folder::OutputFolder;
 use crate::observer::Observer;
 use crate::outcome::RunOutcome;
-use crate::output::Output;
+use crate::output::RunOutput;
 use crate::pipeline::{self, Ended, Tracked};
 use crate::plan::RunPlan;
 use crate::reference;
@@ -66,7 +66,7 @@ pub struct Run {
     plan: RunPlan,
     source: Source,
     folder: OutputFolder,
-    output: Output,
+    output: RunOutput,
     reporter: Option<Arc<dyn RunReporter>>,
     /// The last field, so that the folder is removed after all else is closed.
     temporary: Option<TempDir>,
@@ -129,7 +129,7 @@ fn track(
     plan: &mut RunPlan,
     mut source: Source,
     folder: &mut OutputFolder,
-    output: &Output,
+    output: &RunOutput,
     observer: &dyn Observer,
 ) -> Result<Tracked> {
     plan.take_lens_of(output.map.path())?;

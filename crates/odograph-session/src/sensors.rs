@@ -91,12 +91,12 @@ impl SensorFiles {
             SensorKind::Wheel => &self.wheel,
             SensorKind::Range => &self.range,
         };
-        let told = |report: &SensorReport| {
+        let sentence = |report: &SensorReport| {
             let path = file(report.sensor).as_ref().map(|path| path.display().to_string());
             let place = path.or_else(|| self.topic(report.sensor).map(str::to_owned))?;
             let reason = report.rejected?;
             Some(format!("the {} {place} is not used: {reason}", report.sensor))
         };
-        reports.iter().filter_map(told).collect()
+        reports.iter().filter_map(sentence).collect()
     }
 }

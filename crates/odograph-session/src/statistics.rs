@@ -12,7 +12,7 @@ use std::time::Duration;
 
 /// Statistics of a run, as in `stats.json`. Documented in `docs/output.md`.
 #[derive(Debug, Clone, Serialize)]
-pub struct Statistics {
+pub struct RunStatistics {
     /// Frames taken from the source.
     pub frames: u64,
     /// Frames whose pose was measured.
@@ -193,7 +193,7 @@ impl StageTime {
     }
 }
 
-impl Statistics {
+impl RunStatistics {
     /// As JSON text.
     ///
     /// # Errors

@@ -51,7 +51,7 @@ fn steady(later: &[[f64; 2]]) -> Option<String> {
         let [roll, pitch] = mean.map(f64::to_degrees);
         format!(
             "the camera seems to sit otherwise than was nominal, by {roll:+.1}° of roll and {pitch:+.1}° of pitch: until that was learned the path was bent and \
-             stretched; odograph ground measures how it sits, and --rig tells it"
+             stretched; odograph ground measures its mount, and --rig gives it"
         )
     })
 }
@@ -84,18 +84,18 @@ mod tests {
         (0..300).map(frame).collect()
     }
 
-    fn told_as(frames: &[FrameEstimate], model: MotionModel) -> Option<String> {
+    fn note_for(frames: &[FrameEstimate], model: MotionModel) -> Option<String> {
         let mut kept = KeptFrames::new(&std::env::temp_dir());
         frames.iter().for_each(|frame| kept.push(frame.clone(), None));
         mount_warning(&mut kept, &Rig::level(1.0), model).unwrap()
     }
 
     fn nominal(frames: &[FrameEstimate]) -> Option<String> {
-        told_as(frames, MotionModel::Auto)
+        note_for(frames, MotionModel::Auto)
     }
 
     #[test]
-    fn a_tilt_that_was_learned_and_stayed_is_told_and_that_of_a_hand_is_not() {
+    fn a_learned_steady_tilt_is_noted_and_that_of_a_hand_is_not() {
         let learned = frames(|k| 0.0175 * (k / 60.0).min(1.0) + 2e-4 * (0.7 * k).sin());
         assert!(
             nominal(&learned).is_some_and(|sentence| sentence.contains("+1.0° of roll and +0.0° of pitch"))
@@ -103,6 +103,6 @@ mod tests {
         assert_eq!(nominal(&frames(|k| 0.01 + 0.02 * (0.05 * k).sin())), None);
         assert_eq!(nominal(&frames(|k| 1e-3 * (0.05 * k).sin())), None);
         assert_eq!(nominal(&learned[..100]), None);
-        assert_eq!(told_as(&learned, MotionModel::Free), None);
+        assert_eq!(note_for(&learned, MotionModel::Free), None);
     }
 }

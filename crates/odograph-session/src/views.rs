@@ -79,7 +79,7 @@ impl MosaicFrames {
 
     /// Renders keyframes and kept frames at the poses of `frames`, decoding concurrently where
     /// `threads` allow.
-    pub fn lay(
+    pub fn render(
         &mut self,
         camera: &Camera,
         frames: &mut KeptFrames,
@@ -104,25 +104,25 @@ impl MosaicFrames {
             image.map(|image| (image, pose))
         });
         let mut mosaic = Mosaic::new(Default::default());
-        let mut lay = |(KeyframeImage { gray, color }, pose): (KeyframeImage, GroundPose)| {
+        let mut render = |(KeyframeImage { gray, color }, pose): (KeyframeImage, GroundPose)| {
             match color {
                 Some(color) => mosaic.add(&color, camera, &pose),
                 None => mosaic.add(&gray, camera, &pose),
             };
         };
         if threads < 2 {
-            loaded.try_for_each(|view| view.map(&mut lay))?;
+            loaded.try_for_each(|view| view.map(&mut render))?;
             return Ok(mosaic);
         }
         thread::scope(|scope| {
             let (load, decoded) = mpsc::sync_channel(1);
             let loading = scope.spawn(move || {
                 loaded.try_for_each(|view| {
-                    let _ = load.send(view?); // fails only where laying has ended in a panic
+                    let _ = load.send(view?); // fails only where rendering has ended in a panic
                     Ok(())
                 })
             });
-            decoded.iter().for_each(lay);
+            decoded.iter().for_each(render);
             loading.join().unwrap_or_else(|panic| resume_unwind(panic))
         })?;
         Ok(mosaic)

@@ -63,7 +63,7 @@ impl RunReporter for CountingReporter {
 }
 
 #[test]
-fn a_run_returns_what_it_writes_and_tells_how_it_goes() {
+fn a_run_returns_what_it_writes_and_reports_progress() {
     let folder = tempfile::tempdir().unwrap();
     let observer = Listening::default();
     let outcome = clip::run(40).folder(folder.path()).run(&observer).unwrap();

@@ -29,9 +29,9 @@ pub struct Effects {
     /// Vibration of the camera.
     pub vibration: Option<Vibration>,
     /// Slow variation of the camera height; amplitude as a fraction of the mounting height.
-    pub height_change: Option<Wander>,
+    pub height_change: Option<SlowVariation>,
     /// Slow variation of roll and pitch; amplitude in radians.
-    pub tilt_change: Option<Wander>,
+    pub tilt_change: Option<SlowVariation>,
     /// Focus breathing: a varying focal length.
     pub breathing: Option<Breathing>,
     /// Uneven ground.
@@ -75,7 +75,7 @@ pub struct Vibration {
 /// A slow smooth random variation.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
-pub struct Wander {
+pub struct SlowVariation {
     /// Maximum deviation to either side.
     pub amplitude: f64,
     /// Approximate period, seconds.
@@ -192,13 +192,13 @@ impl Effects {
             checks.push(("vibration's turn", vibration.turn_rad, 0.0..0.5));
             checks.push(("vibration's frequency", vibration.frequency_hz, tiny..10_000.0));
         }
-        if let Some(wander) = self.height_change {
-            checks.push(("height change", wander.amplitude, 0.0..0.9));
-            checks.push(("height change's period", wander.period_s, tiny..1e6));
+        if let Some(variation) = self.height_change {
+            checks.push(("height change", variation.amplitude, 0.0..0.9));
+            checks.push(("height change's period", variation.period_s, tiny..1e6));
         }
-        if let Some(wander) = self.tilt_change {
-            checks.push(("tilt change", wander.amplitude, 0.0..0.8));
-            checks.push(("tilt change's period", wander.period_s, tiny..1e6));
+        if let Some(variation) = self.tilt_change {
+            checks.push(("tilt change", variation.amplitude, 0.0..0.8));
+            checks.push(("tilt change's period", variation.period_s, tiny..1e6));
         }
         if let Some(lighting) = self.lighting {
             checks.push(("drift of the light", lighting.drift, 0.0..1.0));
@@ -261,8 +261,8 @@ impl Effects {
 #[derive(Debug, Clone)]
 pub(super) struct Disturbance {
     vibration: Option<(Vibration, [Wobble; 6])>,
-    height: Option<(Wander, Wobble)>,
-    tilt: Option<(Wander, [Wobble; 2])>,
+    height: Option<(SlowVariation, Wobble)>,
+    tilt: Option<(SlowVariation, [Wobble; 2])>,
 }
 
 impl Disturbance {
@@ -284,13 +284,13 @@ impl Disturbance {
     pub(super) fn applied(&self, pose: GroundPose, time_s: f64) -> GroundPose {
         let mut pose = pose;
         let since_start = |wobble: &Wobble| wobble.at(time_s) - wobble.at(0.0);
-        if let Some((wander, wobble)) = &self.height {
+        if let Some((variation, wobble)) = &self.height {
             // Half, because the difference of two values in [−1, 1] reaches 2.
-            pose.height_m *= 1.0 + 0.5 * wander.amplitude * since_start(wobble);
+            pose.height_m *= 1.0 + 0.5 * variation.amplitude * since_start(wobble);
         }
-        if let Some((wander, [roll, pitch])) = &self.tilt {
-            pose.roll_rad += 0.5 * wander.amplitude * since_start(roll);
-            pose.pitch_rad += 0.5 * wander.amplitude * since_start(pitch);
+        if let Some((variation, [roll, pitch])) = &self.tilt {
+            pose.roll_rad += 0.5 * variation.amplitude * since_start(roll);
+            pose.pitch_rad += 0.5 * variation.amplitude * since_start(pitch);
         }
         if let Some((vibration, [x, y, height, heading, roll, pitch])) = &self.vibration {
             let (shift_m, turn_rad) = (0.5 * vibration.shift_m, 0.5 * vibration.turn_rad);

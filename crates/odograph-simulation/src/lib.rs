@@ -34,7 +34,8 @@ pub use odograph;
 
 pub use board_scene::{BoardEffects, BoardScene, Framing, Occlusion};
 pub use effects::{
-    Blackout, Breathing, Effects, ExposureJumps, Lighting, MovingObject, Shadow, Timing, Vibration, Wander,
+    Blackout, Breathing, Effects, ExposureJumps, Lighting, MovingObject, Shadow, SlowVariation, Timing,
+    Vibration,
 };
 pub use fixtures::{Bumper, Dirt, Lamp};
 pub use ground::Ground;

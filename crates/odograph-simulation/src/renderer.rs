@@ -3,7 +3,7 @@
 use super::ground::{CHUNK, Chunk, Ground, SAMPLE_SCALE, STRIDE};
 use super::photograph::cubic_weights;
 use super::sway::Swaying;
-use super::terrain::Surface;
+use super::terrain::TerrainSurface;
 use super::texture::luminance;
 use nalgebra::Matrix3;
 use odograph::camera::Camera;
@@ -206,7 +206,7 @@ pub(super) struct Scene<'a> {
     origin: GroundPoint,
     /// Height of the level plane near the camera, metres.
     level_m: f64,
-    surface: Option<&'a Surface>,
+    surface: Option<&'a TerrainSurface>,
     sway: Option<&'a Swaying>,
 }
 
@@ -231,7 +231,7 @@ impl<'a> Scene<'a> {
     pub(super) fn new(
         poses: &[GroundPose],
         times_s: &[f64],
-        surface: Option<&'a Surface>,
+        surface: Option<&'a TerrainSurface>,
         sway: Option<&'a Swaying>,
     ) -> Self {
         let middle = &poses[poses.len() / 2];
@@ -320,7 +320,7 @@ impl RenderBlock {
 
     /// Moves every point from the level plane to the first intersection of its ray with the
     /// surface, and evaluates the shading there.
-    fn meet_surface(&mut self, surface: &Surface, scene: &Scene<'_>) {
+    fn meet_surface(&mut self, surface: &TerrainSurface, scene: &Scene<'_>) {
         self.shade.resize(BLOCK * BLOCK, 1.0);
         let Some(bounds) = self.bounds(surface, scene) else { return };
         for row in 0..self.rows {
@@ -348,7 +348,7 @@ impl RenderBlock {
 
     /// Bounds, in metres above z = 0, of the heights at which all rays of this block intersect the
     /// surface; `None` where no ray looks down.
-    fn bounds(&self, surface: &Surface, scene: &Scene<'_>) -> Option<(f64, f64)> {
+    fn bounds(&self, surface: &TerrainSurface, scene: &Scene<'_>) -> Option<(f64, f64)> {
         let (mut x, mut y) = (Span::EMPTY, Span::EMPTY);
         let (mut rows_x, mut rows_y, mut rows_height) = (Span::EMPTY, Span::EMPTY, Span::EMPTY);
         for row in 0..self.rows {

@@ -1,12 +1,8 @@
 //! What a recording holds: its streams or topics, their rates and gaps, and what each can be used
 //! for.
 
-use crate::bag;
-use crate::limits;
-use crate::source::{Opened, SourceOptions, open_kind};
-use odograph::error::{Error, Result};
+use crate::recorded_camera::RecordedCamera;
 use odograph::numerics::median;
-use std::path::Path;
 
 /// An interval of more than this many usual ones is a gap.
 const GAP_INTERVALS: f64 = 2.5;
@@ -58,7 +54,7 @@ pub struct Gap {
 #[derive(Debug, Clone, PartialEq)]
 pub enum StreamUse {
     /// Frames to follow, and the camera that took them as the recording describes it.
-    Frames(Option<bag::RecordedCamera>),
+    Frames(Option<RecordedCamera>),
     /// Description of a camera.
     CameraInfo,
     /// Turn rates.
@@ -88,44 +84,6 @@ impl Stream {
             gaps.map(|pair| Gap { after_s: pair[0] - first_s, length_s: pair[1] - pair[0] }).collect();
         self
     }
-}
-
-/// Lists what is in a recording of any kind, without decoding more than is needed.
-///
-/// # Errors
-/// As [`open`](crate::open); a robot recording without images is not an error.
-pub fn inspect(path: impl AsRef<Path>) -> Result<Contents> {
-    let path = path.as_ref();
-    let told = |error: Error| error.at(path.display());
-    match bag::open(path).map_err(told)? {
-        Some(recording) => bag::contents(recording).map_err(told),
-        None => inspect_frames(path).map_err(told),
-    }
-}
-
-fn inspect_frames(path: &Path) -> Result<Contents> {
-    let Opened { mut frames, description, times_known, frames_per_second, .. } =
-        open_kind(path, &SourceOptions::default())?;
-    let Some(first_s) = frames.advance()? else { return Err(Error::input("there is no frame in it")) };
-    let size = frames.picture()?.map(|picture| (picture.gray.width(), picture.gray.height()));
-    let mut times_s = frames.times()?;
-    // What was read without decoding begins at the first frame again.
-    if times_s.iter().all(|&time_s| time_s > first_s) {
-        times_s.insert(0, first_s);
-    }
-    let stream = Stream {
-        topic: None,
-        kind: description.clone(),
-        encoding: String::new(),
-        size,
-        count: times_s.len().min(limits::MAX_SAMPLES) as u64,
-        span_s: None,
-        rate_hz: frames_per_second,
-        gaps: Vec::new(),
-        usable_as: StreamUse::Frames(None),
-    };
-    let streams = vec![if times_known { stream.timed(times_s) } else { stream }];
-    Ok(Contents { format: description, streams, warnings: frames.take_warnings() })
 }
 
 #[cfg(test)]

@@ -6,7 +6,7 @@
 //! each frame (muxer `framecrc`) to its standard error, interleaved with its messages.
 
 use crate::frame::Picture;
-use crate::source::{Frames, Opened};
+use crate::opened::{Frames, Opened};
 use crate::y4m;
 use odograph::error::{Error, Result};
 use std::ffi::{OsStr, OsString};
@@ -355,8 +355,8 @@ fn read_pictures(output: ChildStdout, color: bool, sender: &SyncSender<Result<Pi
     }
 }
 
-/// Parses the log: passes timestamps to `tell` and collects messages.
-fn read_log(log: ChildStderr, messages: &Mutex<Messages>, mut tell: impl FnMut(f64)) {
+/// Parses the log: passes timestamps to `on_time` and collects messages.
+fn read_log(log: ChildStderr, messages: &Mutex<Messages>, mut on_time: impl FnMut(f64)) {
     let mut ticks_per_s = 1.0;
     let mut reader = BufReader::new(log);
     let mut line = Vec::new();
@@ -368,7 +368,7 @@ fn read_log(log: ChildStderr, messages: &Mutex<Messages>, mut tell: impl FnMut(f
         let line = String::from_utf8_lossy(&line);
         match LogLine::read(line.trim_end()) {
             LogLine::TimeBase { numerator, denominator } => ticks_per_s = denominator / numerator,
-            LogLine::Frame(ticks) => tell(ticks as f64 / ticks_per_s),
+            LogLine::Frame(ticks) => on_time(ticks as f64 / ticks_per_s),
             LogLine::Head => {}
             LogLine::Message(text) => {
                 let mut messages = messages.lock().unwrap_or_else(PoisonError::into_inner);

@@ -17,10 +17,10 @@ thread_local! {
 pub(crate) fn guarded<T>(what: &str, call: impl FnOnce() -> T) -> Result<T> {
     static HOOK: Once = Once::new();
     HOOK.call_once(|| {
-        let told_by_default = panic::take_hook();
+        let default_hook = panic::take_hook();
         panic::set_hook(Box::new(move |info| {
             if !GUARDED.with(Cell::get) {
-                told_by_default(info);
+                default_hook(info);
             }
         }));
     });

@@ -28,6 +28,11 @@
 mod limits;
 mod guard;
 mod frame;
+mod nal;
+mod source_options;
+mod opened;
+mod recorded_camera;
+mod contents;
 mod rotation;
 mod codec;
 mod bayer;
@@ -40,14 +45,16 @@ mod ffmpeg;
 mod video;
 mod bag;
 mod source;
-mod contents;
+mod inspection;
 
 pub use bag::{
-    RecordedCamera, RecordedMount, is_robot_recording, recorded_camera, recorded_fixes, recorded_mount,
-    recorded_sensor,
+    RecordedMount, is_robot_recording, recorded_camera, recorded_fixes, recorded_mount, recorded_sensor,
 };
 pub use bayer::BayerPattern;
-pub use contents::{Contents, Gap, Stream, StreamUse, inspect};
+pub use contents::{Contents, Gap, Stream, StreamUse};
 pub use frame::{Frame, Picture};
+pub use inspection::inspect;
+pub use recorded_camera::RecordedCamera;
 pub use samples::SampleLayout;
-pub use source::{Source, SourceInfo, SourceOptions, is_stream, open};
+pub use source::{Source, SourceInfo, is_stream, open};
+pub use source_options::SourceOptions;

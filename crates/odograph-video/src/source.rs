@@ -6,12 +6,14 @@ use crate::container::matroska::{self, MatroskaReader};
 use crate::container::mp4::Mp4Reader;
 use crate::frame::{Frame, Picture};
 use crate::limits;
+use crate::opened::{Frames, Opened};
+use crate::source_options::SourceOptions;
 use crate::timestamps::Timestamps;
 use crate::{bag, ffmpeg, pictures, video, y4m};
 use odograph::error::{Error, ErrorKind, Result};
 use std::fs::File;
 use std::io::{BufReader, Read, Seek};
-use std::path::{Path, PathBuf};
+use std::path::Path;
 
 /// Default frame rate of a source without one, frames per second.
 const ASSUMED_FRAMES_PER_SECOND: f64 = 30.0;
@@ -19,63 +21,6 @@ const ASSUMED_FRAMES_PER_SECOND: f64 = 30.0;
 /// Tolerance for start and end times, seconds: a decimal time is not exactly representable in
 /// binary.
 const TIME_SLACK_S: f64 = 1e-6;
-
-/// Selection of frames, and timestamps for a source without them.
-#[derive(Debug, Clone, PartialEq)]
-pub struct SourceOptions {
-    /// A timestamps file with lines of `seconds name` (as in TUM's `rgb.txt`), `name seconds`,
-    /// EuRoC's `nanoseconds,name`, or one number per line in the order of the frames; `#` starts a
-    /// comment. Takes precedence over all other timestamps.
-    pub timestamps: Option<PathBuf>,
-    /// Frames per second, > 0: frame `n` is at `n / fps` seconds, whatever the container has.
-    pub fps: Option<f64>,
-    /// Excludes frames earlier than this many seconds after the first frame.
-    pub start_s: Option<f64>,
-    /// Excludes frames later than this many seconds after the first frame.
-    pub end_s: Option<f64>,
-    /// Yields every n-th frame from the start; at least 1.
-    pub every: u64,
-    /// Maximum number of frames to yield.
-    pub max_frames: Option<u64>,
-    /// Keeps the colour in addition to the gray image, for [`Frame::rgb`].
-    pub color: bool,
-    /// Topic of a robot recording to take the images from; needed only if it has several.
-    pub topic: Option<String>,
-}
-
-impl Default for SourceOptions {
-    fn default() -> Self {
-        Self {
-            timestamps: None,
-            fps: None,
-            start_s: None,
-            end_s: None,
-            every: 1,
-            max_frames: None,
-            color: false,
-            topic: None,
-        }
-    }
-}
-
-impl SourceOptions {
-    fn check(&self) -> Result<()> {
-        if self.every == 0 {
-            return Err(Error::usage("every 0th frame was asked for; 1 gives every frame"));
-        }
-        if self.fps.is_some_and(|fps| !(fps.is_finite() && fps > 0.0)) {
-            return Err(Error::usage("the frames a second must be a number above zero"));
-        }
-        let (start, end) = (self.start_s.unwrap_or(0.0), self.end_s.unwrap_or(f64::MAX));
-        if !(start.is_finite() && start >= 0.0 && end.is_finite() && end >= 0.0) {
-            return Err(Error::usage("start and end must be seconds from zero on"));
-        }
-        if end < start {
-            return Err(Error::usage(format!("the end ({end} s) lies before the start ({start} s)")));
-        }
-        Ok(())
-    }
-}
 
 /// Properties of a source, known before its frames are read.
 #[derive(Debug, Clone, PartialEq)]
@@ -116,41 +61,6 @@ enum Clock {
     List(Vec<f64>),
 }
 
-/// Frames of a source of any kind.
-pub(crate) trait Frames: Send {
-    /// Advances to the next frame and returns its time in seconds (its index if the source has no
-    /// timestamps); `None` at the end.
-    fn advance(&mut self) -> Result<Option<f64>>;
-    /// The current frame, upright; can be taken once. `None` if it is damaged and left out, which
-    /// [`take_warnings`](Self::take_warnings) reports.
-    fn picture(&mut self) -> Result<Option<Picture>>;
-    /// File name of the current image; `None` for a video.
-    fn name(&self) -> Option<String> {
-        None
-    }
-    /// Drains the warnings about defects of the source, one sentence each.
-    fn take_warnings(&mut self) -> Vec<String>;
-    /// The times of all remaining frames, which are not decoded if that can be avoided.
-    fn times(&mut self) -> Result<Vec<f64>> {
-        let mut times = Vec::new();
-        while let Some(time_s) = self.advance()? {
-            times.push(time_s);
-        }
-        Ok(times)
-    }
-}
-
-/// An opened source of any kind.
-pub(crate) struct Opened {
-    pub frames: Box<dyn Frames>,
-    pub frame_count: Option<u64>,
-    pub description: String,
-    pub times_known: bool,
-    /// Whether the times are those of [`SourceOptions::timestamps`].
-    pub timestamps_used: bool,
-    pub frames_per_second: Option<f64>,
-}
-
 /// Opens a recording: a video file, an image folder, a single image, a robot recording (MCAP, ROS
 /// bag, rosbag2 folder or database), `-` for Y4M from standard input, or an address `rtsp://…`.
 ///
@@ -168,7 +78,7 @@ pub fn open(path: impl AsRef<Path>, options: &SourceOptions) -> Result<Source> {
     let place = if path == Path::new("-") { "standard input".into() } else { path.display().to_string() };
     open_kind(path, options)
         .and_then(|opened| Source::new(place.clone(), opened, options))
-        .map_err(|e| told(&e, &place))
+        .map_err(|e| at_place(&e, &place))
 }
 
 /// Box types at the start of an MP4 or QuickTime file.
@@ -177,7 +87,7 @@ const MP4_STARTS: [&[u8]; 11] =
 
 /// Prefixes an error with its location. What a file is at fault for stands on one line: third-party
 /// decoders write messages of several lines. A wrong option may be answered with a list.
-fn told(error: &Error, place: &str) -> Error {
+fn at_place(error: &Error, place: &str) -> Error {
     let message = error.to_string();
     let message = if error.kind() == ErrorKind::Usage { message } else { one_line(&message) };
     Error::new(error.kind(), message).at(place)
@@ -308,7 +218,7 @@ impl Source {
     /// timestamps file. A truncated video is not an error: its frames up to the truncation are
     /// yielded, with a warning.
     pub fn next_frame(&mut self) -> Result<Option<Frame>> {
-        let frame = self.next_wanted().map_err(|error| told(&error, &self.place));
+        let frame = self.next_wanted().map_err(|error| at_place(&error, &self.place));
         if !matches!(frame, Ok(Some(_))) {
             self.end();
         }
@@ -335,7 +245,45 @@ impl Source {
         self.ended = true;
     }
 
+    /// Passes over the next selected frame and returns its time, seconds; `None` at the end. Its
+    /// image is decoded only if later ones need it.
+    ///
+    /// # Errors
+    /// As [`Source::next_frame`].
+    pub fn skip_frame(&mut self) -> Result<Option<f64>> {
+        let next = self.advance_to_wanted().map_err(|error| at_place(&error, &self.place));
+        let time_s = next.map(|next| next.map(|(_, time_s, _)| time_s));
+        match time_s {
+            Ok(Some(_)) => self.given += 1,
+            _ => self.end(),
+        }
+        time_s
+    }
+
     fn next_wanted(&mut self) -> Result<Option<Frame>> {
+        while let Some((number, time_s, picture)) = self.advance_to_wanted()? {
+            let picture = match picture {
+                Some(picture) => Some(picture),
+                None => self.frames.picture()?,
+            };
+            let Some(picture) = picture else { continue };
+            let (width, height) = (picture.gray.width(), picture.gray.height());
+            if (width, height) != (self.info.width, self.info.height) {
+                return Err(Error::input(format!(
+                    "frame {number} has {width}x{height} pixels, the first has {}x{}; all frames must have the same size",
+                    self.info.width, self.info.height
+                )));
+            }
+            self.given += 1;
+            let name = self.frames.name();
+            return Ok(Some(Frame { number, time_s, name, gray: picture.gray, color: picture.color }));
+        }
+        Ok(None)
+    }
+
+    /// Advances to the next frame that the options select: its number, its time in seconds, and its
+    /// picture where that is decoded already.
+    fn advance_to_wanted(&mut self) -> Result<Option<(u64, f64, Option<Picture>)>> {
         while !self.ended && self.options.max_frames.is_none_or(|most| self.given < most) {
             let (source_time_s, picture) = match self.first.take() {
                 Some((time_s, picture)) => (time_s, Some(picture)),
@@ -369,24 +317,9 @@ impl Source {
                 continue;
             }
             self.in_range += 1;
-            if !(self.in_range - 1).is_multiple_of(self.options.every) {
-                continue;
+            if (self.in_range - 1).is_multiple_of(self.options.every) {
+                return Ok(Some((number, time_s, picture)));
             }
-            let picture = match picture {
-                Some(picture) => Some(picture),
-                None => self.frames.picture()?,
-            };
-            let Some(picture) = picture else { continue };
-            let (width, height) = (picture.gray.width(), picture.gray.height());
-            if (width, height) != (self.info.width, self.info.height) {
-                return Err(Error::input(format!(
-                    "frame {number} has {width}x{height} pixels, the first has {}x{}; all frames must have the same size",
-                    self.info.width, self.info.height
-                )));
-            }
-            self.given += 1;
-            let name = self.frames.name();
-            return Ok(Some(Frame { number, time_s, name, gray: picture.gray, color: picture.color }));
         }
         Ok(None)
     }
@@ -437,6 +370,26 @@ mod tests {
         fn take_warnings(&mut self) -> Vec<String> {
             Vec::new()
         }
+    }
+
+    #[test]
+    fn skipped_frames_count_as_given() {
+        let opened = Opened {
+            frames: Box::new(TimedFrames(vec![0.0, 0.5, 0.5, 1.0, 1.5].into_iter())),
+            frame_count: Some(5),
+            description: "times".into(),
+            times_known: true,
+            timestamps_used: false,
+            frames_per_second: None,
+        };
+        let options = SourceOptions { max_frames: Some(3), ..SourceOptions::default() };
+        let mut source = Source::new("here".into(), opened, &options).unwrap();
+        assert_eq!(source.skip_frame().unwrap(), Some(0.0));
+        assert_eq!(source.skip_frame().unwrap(), Some(0.5));
+        let frame = source.next_frame().unwrap().unwrap();
+        assert_eq!((frame.number, frame.time_s), (3, 1.0));
+        assert_eq!(source.skip_frame().unwrap(), None);
+        assert_eq!(source.take_warnings().len(), 1);
     }
 
     #[test]

@@ -15,6 +15,9 @@ pub(crate) enum Timestamps {
 /// Integers from here on are nanoseconds since 1970 (1973 in nanoseconds; far in the future in
 /// seconds).
 const NANOSECONDS_FROM: f64 = 1e17;
+/// No time is later, nor earlier than this before 1970: thirty thousand years, seconds. Beyond it
+/// frames at a usual rate are not told apart.
+const LATEST_S: f64 = 1e12;
 /// Largest size of a timestamps file, bytes.
 const MAX_BYTES: u64 = 1 << 30;
 
@@ -23,8 +26,10 @@ impl Timestamps {
     pub fn read(path: &Path) -> Result<Self> {
         let place = path.display();
         let readable = std::fs::metadata(path).is_ok_and(|m| m.len() <= MAX_BYTES);
-        let text = std::fs::read_to_string(path)
-            .map_err(|error| Error::input(format!("the timestamps cannot be read: {error}")).at(place))?;
+        let text = std::fs::read_to_string(path).map_err(|error| match error.kind() {
+            std::io::ErrorKind::InvalidData => Error::input("the timestamps are not text").at(place),
+            _ => Error::input(format!("the timestamps cannot be read: {error}")).at(place),
+        })?;
         if !readable {
             return Err(Error::input("a file of timestamps should be smaller than 1 GB").at(path.display()));
         }
@@ -74,6 +79,11 @@ impl Timestamps {
             if let Some(before) = before.filter(|&before| time_s <= before) {
                 return Err(Error::input(format!(
                     "line {number}: the time {time_s} s does not come after the {before} s before it"
+                )));
+            }
+            if time_s.abs() > LATEST_S {
+                return Err(Error::input(format!(
+                    "line {number}: {time_s} s cannot be the time of a frame; write seconds, or whole nanoseconds since 1970"
                 )));
             }
             before = Some(time_s);
@@ -135,6 +145,15 @@ pub(crate) fn time_from_name(stem: &str) -> Option<f64> {
 #[cfg(test)]
 mod tests {
     use super::*;
+
+    #[test]
+    fn absurd_times_are_refused() {
+        for (text, line) in [("0\n1e300\n", 2), ("-1e13\n", 1)] {
+            let told = Timestamps::parse(text).unwrap_err().to_string();
+            assert!(told.starts_with(&format!("line {line}: ")) && told.contains("write seconds"), "{told}");
+        }
+        assert!(Timestamps::parse("1700000000.0 a.png\n").is_ok());
+    }
 
     #[test]
     fn tum_with_columns_in_either_order() {

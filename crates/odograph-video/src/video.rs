@@ -4,7 +4,7 @@ use crate::codec::{self, Decoded, Decoder, MakeDecoder, Refusal, Stamp};
 use crate::container::{Packet, PacketReader, Times, VideoTrack};
 use crate::ffmpeg;
 use crate::frame::Picture;
-use crate::source::{Frames, Opened};
+use crate::opened::{Frames, Opened};
 use odograph::error::{Error, Result};
 use std::collections::VecDeque;
 use std::path::Path;

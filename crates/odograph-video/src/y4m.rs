@@ -3,7 +3,7 @@
 use crate::codec::narrow_little_endian;
 use crate::frame::{Chroma, Color, ColorEncoding, Picture};
 use crate::limits;
-use crate::source::{Frames, Opened};
+use crate::opened::{Frames, Opened};
 use odograph::error::{Error, Result};
 use odograph::image::GrayImage;
 use std::io::{BufRead, Read};

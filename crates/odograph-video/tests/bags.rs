@@ -130,7 +130,7 @@ fn several_topics_with_images_are_listed() {
 }
 
 #[test]
-fn without_stamps_the_times_of_recording_are_used_and_told() {
+fn without_stamps_the_times_of_recording_are_used_with_a_warning() {
     let (frames, warnings) = frames(&data("unstamped.mcap"), &SourceOptions::default());
     let times: Vec<f64> = frames.iter().map(|frame| frame.time_s).collect();
     assert_eq!(times, (0..6).map(time_s).collect::<Vec<_>>());
@@ -338,7 +338,7 @@ fn a_folder_without_metadata_is_read_in_order() {
     }
     let (read, warnings) = frames(place.path(), &SourceOptions::default());
     assert_eq!((read.len(), warnings), (6, Vec::new()));
-    // A part that is cut off before its first message is left out, and told.
+    // A part that is cut off before its first message is left out with a warning.
     fs::write(place.path().join("split_2.mcap"), b"\x89MCAP0\r\n").unwrap();
     fs::write(place.path().join("split_3.mcap"), fs::read(data("drive.db3")).unwrap().split_at(100).0)
         .unwrap();

@@ -18,8 +18,8 @@ use odograph::geometry::{GroundPose, Pixel, wrap_angle};
 use odograph::odometry::{Odometry, OdometryConfig};
 use odograph::trajectory::{StampedPose, Trajectory};
 use odograph_simulation::{
-    Blackout, Effects, Lighting, MovingObject, Path, PathKind, Simulation, SimulationConfig, Texture, Timing,
-    Vibration, Wander,
+    Blackout, Effects, Lighting, MovingObject, Path, PathKind, Simulation, SimulationConfig, SlowVariation,
+    Texture, Timing, Vibration,
 };
 use std::f64::consts::TAU;
 use std::sync::Mutex;
@@ -105,8 +105,8 @@ fn rows() -> Vec<EffectRow> {
     };
     let in_hand = Effects {
         vibration: Some(Vibration { shift_m: 0.006, turn_rad: 0.012, frequency_hz: 4.0 }),
-        height_change: Some(Wander { amplitude: 0.1, period_s: 5.0 }),
-        tilt_change: Some(Wander { amplitude: 3f64.to_radians(), period_s: 4.0 }),
+        height_change: Some(SlowVariation { amplitude: 0.1, period_s: 5.0 }),
+        tilt_change: Some(SlowVariation { amplitude: 3f64.to_radians(), period_s: 4.0 }),
         exposure_s: 0.004,
         object: Some(object),
         noise_gray: 3.0,
@@ -139,25 +139,25 @@ fn rows() -> Vec<EffectRow> {
             "height ±10 %",
             "asphalt",
             wandering,
-            with(|e| e.height_change = Some(Wander { amplitude: 0.1, period_s: 5.0 })),
+            with(|e| e.height_change = Some(SlowVariation { amplitude: 0.1, period_s: 5.0 })),
         ),
         row(
             "height ±50 %",
             "asphalt",
             wandering,
-            with(|e| e.height_change = Some(Wander { amplitude: 0.5, period_s: 8.0 })),
+            with(|e| e.height_change = Some(SlowVariation { amplitude: 0.5, period_s: 8.0 })),
         ),
         row(
             "tilt ±3°",
             "asphalt",
             wandering,
-            with(|e| e.tilt_change = Some(Wander { amplitude: 3f64.to_radians(), period_s: 4.0 })),
+            with(|e| e.tilt_change = Some(SlowVariation { amplitude: 3f64.to_radians(), period_s: 4.0 })),
         ),
         row(
             "tilt ±10°",
             "asphalt",
             wandering,
-            with(|e| e.tilt_change = Some(Wander { amplitude: 10f64.to_radians(), period_s: 5.0 })),
+            with(|e| e.tilt_change = Some(SlowVariation { amplitude: 10f64.to_radians(), period_s: 5.0 })),
         ),
         row("in the hand, all of it at once", "grass", wandering, in_hand),
         EffectRow {

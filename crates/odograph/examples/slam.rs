@@ -31,7 +31,7 @@ struct LoopDrive {
     texture: &'static str,
     path: PathKind,
     /// Tilt error of the given rig: true roll and pitch of the camera, radians.
-    untold: (f64, f64),
+    unknown: (f64, f64),
     speed_m_s: f64,
     size: (usize, usize),
     height_m: f64,
@@ -59,11 +59,11 @@ fn drives() -> Vec<LoopDrive> {
     let eight = PathKind::FigureEight { length_m: 3.0, laps: 2.0 };
     let lanes = PathKind::Lanes { length_m: 4.0, spacing_m: 0.4, count: 6 };
     let large = PathKind::FigureEight { length_m: 8.0, laps: 2.0 };
-    let drive = |name, texture, path, untold| LoopDrive {
+    let drive = |name, texture, path, unknown| LoopDrive {
         name,
         texture,
         path,
-        untold,
+        unknown,
         speed_m_s: 0.6,
         size: (640, 480),
         height_m: 0.75,
@@ -155,8 +155,8 @@ fn errors_mm(simulation: &Simulation, frames: &[FrameEstimate]) -> (f64, f64) {
 }
 
 fn line(drive: &LoopDrive) -> Result<String> {
-    let told = Rig::level(drive.height_m);
-    let rig = Rig { roll_rad: drive.untold.0, pitch_rad: drive.untold.1, ..told };
+    let message = Rig::level(drive.height_m);
+    let rig = Rig { roll_rad: drive.unknown.0, pitch_rad: drive.unknown.1, ..message };
     let simulation = Simulation::new(SimulationConfig {
         camera: camera(drive.size)?,
         rig,
@@ -169,9 +169,9 @@ fn line(drive: &LoopDrive) -> Result<String> {
         seed: 5,
     })?;
     let config = OdometryConfig::default();
-    let mut odometry = Odometry::new(camera(drive.size)?, told, config)?;
-    odometry.tell_keyframes();
-    let mut mapper = Mapper::new(&camera(drive.size)?, told, &config, LoopClosureConfig::default());
+    let mut odometry = Odometry::new(camera(drive.size)?, message, config)?;
+    odometry.record_keyframes();
+    let mut mapper = Mapper::new(&camera(drive.size)?, message, &config, LoopClosureConfig::default());
     let mut images = MemoryImages::default();
     let (mut frames, mut references, mut times_ms) = (Vec::new(), Vec::new(), Vec::new());
     for frame in (0..simulation.len()).map_while(|number| simulation.frame(number)) {
@@ -209,8 +209,10 @@ fn line(drive: &LoopDrive) -> Result<String> {
         found.map_or(simulation.truth(0.0), |keyframe| simulation.truth(keyframe.time_s))
     };
     let off_mm = |closure: &odograph::loop_closure::LoopClosure| {
-        let seen =
-            odograph::keyframe::relative_pose::seen_from(&truth(closure.edge.from), &truth(closure.edge.to));
+        let seen = odograph::keyframe::relative_pose::relative_motion(
+            &truth(closure.edge.from),
+            &truth(closure.edge.to),
+        );
         1e3 * (seen[0] - closure.edge.motion[0]).hypot(seen[1] - closure.edge.motion[1])
     };
     let worst_loop_mm = mapper.closures().iter().map(off_mm).fold(0.0, f64::max);

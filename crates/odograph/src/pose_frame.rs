@@ -330,16 +330,16 @@ mod tests {
             let mut last = None;
             for frame in simulation.frames() {
                 let seen = odometry.process(frame.image, frame.time_s).unwrap();
-                let told = PoseFrame::BaseLink(base).frame(&seen).into_owned();
-                let robot = told.estimate.as_ref().expect("a pose");
+                let placed = PoseFrame::BaseLink(base).frame(&seen).into_owned();
+                let robot = placed.estimate.as_ref().expect("a pose");
                 let truth = base.pose(&frame.truth);
                 let off_m = (robot.pose.x_m - truth.x_m).hypot(robot.pose.y_m - truth.y_m);
                 assert!(off_m < 5e-3, "{off_m}");
-                last = Some((seen, told, frame.truth));
+                last = Some((seen, placed, frame.truth));
             }
-            let (seen, told, truth) = last.unwrap();
+            let (seen, placed, truth) = last.unwrap();
             camera_nees += nees(&seen.estimate.unwrap(), &truth) / f64::from(seeds as u32);
-            robot_nees += nees(&told.estimate.unwrap(), &base.pose(&truth)) / f64::from(seeds as u32);
+            robot_nees += nees(&placed.estimate.unwrap(), &base.pose(&truth)) / f64::from(seeds as u32);
         }
         // The mean of twelve values of chi square with three degrees of freedom: 3, one standard
         // deviation 0.7. A rigid motion leaves it as it is.

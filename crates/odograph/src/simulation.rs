@@ -5,8 +5,8 @@
 //! names are those of `odograph-simulation`.
 
 pub use odograph_simulation::{
-    Blackout, Effects, Ground, Kerb, Path, PathKind, SensorErrors, Sway, Terrain, Texture, Undulation,
-    Vibration, Wander,
+    Blackout, Effects, Ground, Kerb, Path, PathKind, SensorErrors, SlowVariation, Sway, Terrain, Texture,
+    Undulation, Vibration,
 };
 
 use crate::camera::{Camera, Distortion, Rig};

@@ -136,15 +136,15 @@ fn check_crate(name: &str, check: impl Fn(&Path, &str, &str) -> Vec<Breach>) {
     let src = crates_folder().join(name).join("src");
     let files = source_files(&src);
     assert!(!files.is_empty(), "no source files in {}", src.display());
-    let mut told = String::new();
+    let mut message = String::new();
     for path in files {
         let below_src = path.strip_prefix(&src).unwrap();
         let shown = format!("crates/{name}/src/{}", below_src.display());
         for breach in check(below_src, &shown, &fs::read_to_string(&path).unwrap()) {
-            told += &format!("\n{}:{}: {}", breach.file, breach.line, breach.what);
+            message += &format!("\n{}:{}: {}", breach.file, breach.line, breach.what);
         }
     }
-    assert!(told.is_empty(), "{told}\n");
+    assert!(message.is_empty(), "{message}\n");
 }
 
 #[test]
@@ -167,18 +167,6 @@ const CRATES: [&str; 10] = [
     "odograph-gate",
 ];
 
-/// Rooms whose modules still import each other in a circle. A room that has none any more must be
-/// removed from this list.
-const CIRCULAR: [(&str, &str); 7] = [
-    ("odograph", "mounting::driving::bundle"),
-    ("odograph", "odometry"),
-    ("odograph-video", ""),
-    ("odograph-video", "container"),
-    ("odograph-map", ""),
-    ("odograph-cli", "commands::calibrate"),
-    ("odograph-gate", ""),
-];
-
 /// The source text of every module of a crate.
 fn sources(name: &str) -> BTreeMap<Module, String> {
     let src = crates_folder().join(name).join("src");
@@ -189,23 +177,14 @@ fn sources(name: &str) -> BTreeMap<Module, String> {
 
 #[test]
 fn the_modules_of_a_room_import_each_other_in_no_circle() {
-    let mut told = String::new();
+    let mut message = String::new();
     for name in CRATES {
-        let circles = Imports::of(&sources(name)).circles();
-        let allowed = |room: &str| CIRCULAR.contains(&(name, room));
-        for (room, modules) in &circles {
+        for (room, modules) in Imports::of(&sources(name)).circles() {
             let room = room.join("::");
-            if !allowed(&room) {
-                told += &format!("\n{name}, {room}: {} → {}", modules.join(" → "), modules[0]);
-            }
-        }
-        for (_, room) in CIRCULAR.iter().filter(|(other, _)| *other == name) {
-            if !circles.iter().any(|(circular, _)| circular.join("::") == *room) {
-                told += &format!("\n{name}, {room}: no circle is left; remove it from CIRCULAR");
-            }
+            message += &format!("\n{name}, {room}: {} → {}", modules.join(" → "), modules[0]);
         }
     }
-    assert!(told.is_empty(), "{told}\n");
+    assert!(message.is_empty(), "{message}\n");
 }
 
 /// Crates whose rooms have their own code in `room/mod.rs`, not in `room.rs` beside `room/`.

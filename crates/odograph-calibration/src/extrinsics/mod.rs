@@ -147,11 +147,11 @@ pub fn rig_from_boards(
             let at = around + combined.offset;
             Some([at[0], at[1], at[2], yaw.map_or(0.0, |yaw| yaw.rad)])
         };
-        let carried = uncertainty.carried(camera, outcome).ok_or_else(|| {
-            Error::input("the camera's own uncertainty is so large that the board says nothing; calibrate the camera again")
+        let propagated = uncertainty.propagated(camera, outcome).ok_or_else(|| {
+            Error::input("the camera's parameters are too uncertain to determine the mount from the board; calibrate the camera again")
         })?;
-        covariance += carried.fixed_view::<3, 3>(0, 0);
-        yaw_variance = yaw_variance.map(|variance| variance + carried[(3, 3)]);
+        covariance += propagated.fixed_view::<3, 3>(0, 0);
+        yaw_variance = yaw_variance.map(|variance| variance + propagated[(3, 3)]);
     }
     let at = around + combined.offset;
     let notes = notes(floor, &used, yaw);
@@ -170,7 +170,7 @@ pub fn rig_from_boards(
             deviations: RigDeviations::of(&covariance, yaw_deviation),
         },
         covariance,
-        views: fits.into_iter().map(|fit| told(fit, floor.thickness_m)).collect(),
+        views: fits.into_iter().map(|fit| mounting_view(fit, floor.thickness_m)).collect(),
         scatter: combined.scatter.map(f64::sqrt).into(),
         notes,
     })
@@ -254,7 +254,7 @@ fn fitted(camera: &Camera, points: &[(GroundPoint, Pixel)]) -> std::result::Resu
     Ok(found)
 }
 
-fn told(fit: std::result::Result<ViewPoseFit, LeftOut>, thickness_m: f64) -> MountingView {
+fn mounting_view(fit: std::result::Result<ViewPoseFit, LeftOut>, thickness_m: f64) -> MountingView {
     let (fit, why_not) = match fit {
         Ok(fit) => (Some(fit), None),
         Err(LeftOut { why, fit }) => (fit.map(|fit| *fit), Some(why)),

@@ -66,7 +66,7 @@ fn errors(rig: &Rig) -> Vector3<f64> {
 }
 
 #[test]
-fn one_view_tells_height_and_tilt_to_what_was_asked() {
+fn one_view_determines_height_and_tilt_as_well_as_asked() {
     let mut random = Random::new(7);
     let floor = floor(CHARUCO, Some(BoardDirection::MinusY));
     for _ in 0..20 {
@@ -139,15 +139,15 @@ fn directions_thickness_and_missing_yaw() {
         // quarter turn to the left.
         let drawn = floor(CHARUCO, Some(BoardDirection::MinusY));
         let views = views(&drawn, 1, 0.0, &mut random);
-        let told = FloorBoard { forward: Some(forward), thickness_m: 0.005, ..drawn };
-        let rig = rig_from_boards(&camera(), None, &told, &views).unwrap().measured.rig;
+        let given = FloorBoard { forward: Some(forward), thickness_m: 0.005, ..drawn };
+        let rig = rig_from_boards(&camera(), None, &given, &views).unwrap().measured.rig;
         assert!(
             wrap_angle(rig.yaw_rad - (RIG.yaw_rad - board_turns_rad)).abs() < 1e-9,
             "{forward:?} {rig:?}"
         );
         assert!((rig.height_m - RIG.height_m - 0.005).abs() < 1e-9);
         let without =
-            rig_from_boards(&camera(), None, &FloorBoard { forward: None, ..told }, &views).unwrap();
+            rig_from_boards(&camera(), None, &FloorBoard { forward: None, ..given }, &views).unwrap();
         assert_eq!((without.measured.rig.yaw_rad, without.measured.deviations.yaw_rad), (0.0, None));
     }
 }
@@ -213,7 +213,7 @@ fn views_that_do_not_belong_are_named() {
 }
 
 #[test]
-fn boards_that_were_turned_between_views_tell_no_yaw() {
+fn boards_that_were_turned_between_views_determine_no_yaw() {
     let mut random = Random::new(4);
     let floor = floor(CHARUCO, Some(BoardDirection::X));
     let mut turned = |yaw_rad: f64| {

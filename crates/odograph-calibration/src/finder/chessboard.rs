@@ -5,7 +5,7 @@
 //! blurred ones a lower one. The corners are always refined at full resolution.
 
 use super::completion::complete;
-use super::lattice::{Corner, Lattice, extent, lattices, nearest_edge};
+use super::lattice::{Lattice, LatticeCorner, extent, lattices, nearest_edge};
 use super::ring::{RING_PX, Ring};
 use super::{NotFound, response, subpixel};
 use crate::{Board, BoardView, SeenPoint};
@@ -76,13 +76,13 @@ fn seen(why: &NotFound) -> usize {
 }
 
 /// Chessboard corners of one level, strongest first, without duplicates.
-pub(super) fn corners_of_squares(image: &GrayImage, most: usize) -> Vec<Corner> {
-    let mut corners: Vec<Corner> = Vec::new();
+pub(super) fn corners_of_squares(image: &GrayImage, most: usize) -> Vec<LatticeCorner> {
+    let mut corners: Vec<LatticeCorner> = Vec::new();
     for peak in response::peaks(image, most) {
         let start = Pixel::new(f64::from(peak.x), f64::from(peak.y));
         let corner = Ring::read(image, start, RING_PX)
             .and_then(|_| subpixel::orthogonal_to_within(image, start, RING_PX, 0.05))
-            .and_then(|pixel| Some(Corner { pixel, ring: Ring::read(image, pixel, RING_PX)? }));
+            .and_then(|pixel| Some(LatticeCorner { pixel, ring: Ring::read(image, pixel, RING_PX)? }));
         let Some(corner) = corner else { continue };
         corners.push(corner);
     }
@@ -106,7 +106,11 @@ pub(super) fn corners_of_squares(image: &GrayImage, most: usize) -> Vec<Corner> 
 }
 
 /// The corners of the board in the order of its points, detected on one pyramid level.
-fn find_in_level(image: &GrayImage, wanted: (usize, usize), scale: f64) -> Result<Vec<Corner>, NotFound> {
+fn find_in_level(
+    image: &GrayImage,
+    wanted: (usize, usize),
+    scale: f64,
+) -> Result<Vec<LatticeCorner>, NotFound> {
     let corners = corners_of_squares(image, MOST_PEAKS + 8 * wanted.0 * wanted.1);
     let mut best = NotFound::NoCorners;
     for seen_lattice in lattices(image, &corners).into_iter().take(4) {
@@ -211,7 +215,7 @@ fn drop_stray_line(lattice: &mut Lattice, most: f64) -> bool {
 
 /// The corners of a complete lattice in the order of the board's points; see
 /// [`super::BoardFinder::find`].
-fn in_order(lattice: &Lattice, wanted: (usize, usize)) -> Vec<Corner> {
+fn in_order(lattice: &Lattice, wanted: (usize, usize)) -> Vec<LatticeCorner> {
     let ((left, right), (top, bottom)) = extent(lattice);
     let (columns, rows) = (wanted.0 as i32, wanted.1 as i32);
     let spans = (right - left + 1, bottom - top + 1);
@@ -222,13 +226,13 @@ fn in_order(lattice: &Lattice, wanted: (usize, usize)) -> Vec<Corner> {
         ((right, bottom), (-1, 0), (0, -1)),
         ((left, bottom), (0, -1), (1, 0)),
     ];
-    let mut best: Option<(f64, Vec<Corner>)> = None;
+    let mut best: Option<(f64, Vec<LatticeCorner>)> = None;
     for (first, along, down) in turns {
         let fits = if along.1 == 0 { spans == (columns, rows) } else { spans == (rows, columns) };
         if !fits {
             continue;
         }
-        let corners: Vec<Corner> = (0..rows)
+        let corners: Vec<LatticeCorner> = (0..rows)
             .flat_map(|row| (0..columns).map(move |column| (column, row)))
             .filter_map(|(column, row)| {
                 let place =

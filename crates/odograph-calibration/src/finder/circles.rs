@@ -137,7 +137,7 @@ fn in_spots(spots: &Spotted, board: &Board) -> Result<Vec<Blob>, NotFound> {
         {
             return Ok(grid);
         }
-        let told = match best {
+        let reported = match best {
             NotFound::OtherDiscs { seen, .. } => seen,
             _ => LEAST_PART.max(places.len() / 3), // smaller ones occur by chance
         };
@@ -145,7 +145,7 @@ fn in_spots(spots: &Spotted, board: &Board) -> Result<Vec<Blob>, NotFound> {
         let whole = |&&(i, j): &&(i32, i32)| {
             [(1, 0), (0, 1), (1, 1)].iter().all(|(di, dj)| lattice.contains_key(&(i + di, j + dj)))
         };
-        if lattice.len() > told && 2 * lattice.keys().filter(whole).count() >= lattice.len() {
+        if lattice.len() > reported && 2 * lattice.keys().filter(whole).count() >= lattice.len() {
             best = NotFound::OtherDiscs { expected: places.len(), seen: lattice.len() };
         }
     }

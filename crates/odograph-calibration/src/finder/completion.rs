@@ -1,6 +1,6 @@
 //! Completion of a corner lattice by the corners that the detector missed.
 
-use super::lattice::{Corner, Lattice, edge_between, extent, nearest_edge};
+use super::lattice::{Lattice, LatticeCorner, edge_between, extent, nearest_edge};
 use super::ring::{RING_PX, Ring};
 use super::subpixel;
 use odograph::geometry::Pixel;
@@ -30,10 +30,10 @@ pub(super) fn complete(image: &GrayImage, lattice: &mut Lattice) {
 
 /// The missed corner at an empty lattice position; `None` unless the image confirms it at the
 /// position predicted by the neighbours.
-fn overlooked(image: &GrayImage, lattice: &Lattice, (i, j): (i32, i32)) -> Option<Corner> {
+fn overlooked(image: &GrayImage, lattice: &Lattice, (i, j): (i32, i32)) -> Option<LatticeCorner> {
     let at = |di: i32, dj: i32| lattice.get(&(i + di, j + dj));
     let mut predictions: Vec<(f64, f64)> = Vec::new();
-    let mut sides: Vec<(Corner, f64)> = Vec::new();
+    let mut sides: Vec<(LatticeCorner, f64)> = Vec::new();
     for (di, dj) in [(1, 0), (0, 1), (-1, 0), (0, -1)] {
         let Some(next) = at(di, dj) else { continue };
         if let Some(after) = at(2 * di, 2 * dj) {
@@ -75,12 +75,12 @@ fn overlooked(image: &GrayImage, lattice: &Lattice, (i, j): (i32, i32)) -> Optio
     }
     let ring = Ring::read(image, pixel, RING_PX.min(0.45 * side).max(2.0))?;
     // An edge must connect the corner to every neighbour used for the prediction.
-    let corner = Corner { pixel, ring };
+    let corner = LatticeCorner { pixel, ring };
     sides.iter().all(|(neighbour, _)| joined(image, &corner, neighbour)).then_some(corner)
 }
 
 /// Whether an image edge connects two corners.
-fn joined(image: &GrayImage, one: &Corner, other: &Corner) -> bool {
+fn joined(image: &GrayImage, one: &LatticeCorner, other: &LatticeCorner) -> bool {
     let direction = (other.pixel.y - one.pixel.y).atan2(other.pixel.x - one.pixel.x);
     let (edge, turn) = nearest_edge(&one.ring, direction);
     let (back, back_turn) = nearest_edge(&other.ring, direction + std::f64::consts::PI);

@@ -14,14 +14,14 @@ use std::f64::consts::{PI, TAU};
 
 /// A chessboard corner in an image.
 #[derive(Debug, Clone, Copy, PartialEq)]
-pub(super) struct Corner {
+pub(super) struct LatticeCorner {
     pub pixel: Pixel,
     pub ring: Ring,
 }
 
 /// Corners by lattice coordinates (column, row). The rotation from rows to columns is clockwise in
 /// the image, so a lattice is never mirrored.
-pub(super) type Lattice = BTreeMap<(i32, i32), Corner>;
+pub(super) type Lattice = BTreeMap<(i32, i32), LatticeCorner>;
 
 /// Maximum angle between an edge and the direction to the neighbour, radians.
 const TURN: f64 = 0.45;
@@ -80,7 +80,7 @@ pub(super) fn edge_between(
 
 /// For each edge of each corner, the neighbour in that direction and the index of the neighbour's
 /// edge that points back.
-fn links(image: &GrayImage, corners: &[Corner]) -> Vec<[Option<(usize, usize)>; 4]> {
+fn links(image: &GrayImage, corners: &[LatticeCorner]) -> Vec<[Option<(usize, usize)>; 4]> {
     let mut nearest: Vec<(f64, usize)> = Vec::new();
     let mut links = vec![[None; 4]; corners.len()];
     for (index, corner) in corners.iter().enumerate() {
@@ -128,7 +128,7 @@ fn links(image: &GrayImage, corners: &[Corner]) -> Vec<[Option<(usize, usize)>; 
 
 /// All lattices of the linked corners, largest first. Every corner belongs to at least one complete
 /// square of its lattice.
-pub(super) fn lattices(image: &GrayImage, corners: &[Corner]) -> Vec<Lattice> {
+pub(super) fn lattices(image: &GrayImage, corners: &[LatticeCorner]) -> Vec<Lattice> {
     let links = links(image, corners);
     let mutual = |corner: usize, edge: usize| {
         links[corner][edge].filter(|&(other, back)| links[other][back] == Some((corner, edge)))

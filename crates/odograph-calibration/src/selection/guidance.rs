@@ -5,15 +5,15 @@ use crate::Board;
 use odograph::geometry::Pixel;
 use std::fmt;
 
-/// Coverage of the image by board points, in [`Coverage::COLUMNS`] by [`Coverage::ROWS`] equal
-/// cells.
+/// Coverage of the image by board points, in [`ViewCoverage::COLUMNS`] by [`ViewCoverage::ROWS`]
+/// equal cells.
 #[derive(Debug, Clone, PartialEq, Eq)]
-pub struct Coverage {
+pub struct ViewCoverage {
     /// Number of points per cell in the selected views, in row-major order from the top left.
     pub points: Vec<usize>,
 }
 
-impl Coverage {
+impl ViewCoverage {
     /// Number of cells along a row.
     pub const COLUMNS: usize = 9;
     /// Number of cells along a column.
@@ -104,7 +104,7 @@ impl fmt::Display for Hint {
         match self {
             Self::Tilt(Direction::Sideways) => f.write_str("turn the board more to the left and right"),
             Self::Tilt(Direction::UpAndDown) => f.write_str("tilt the board more up and down"),
-            Self::GoTo(region) => write!(f, "go to {region} of the image"),
+            Self::GoTo(region) => write!(f, "hold the board at {region} of the image"),
             Self::ComeCloser => f.write_str("come closer, until the board fills half of the image"),
             Self::GoFurtherAway => f.write_str("go further away"),
             Self::HoldStill => f.write_str("hold the board still for a moment at each place"),
@@ -120,7 +120,7 @@ pub struct Guidance {
     /// Number of selected views.
     pub views: usize,
     /// Coverage of the image by the selected views.
-    pub coverage: Coverage,
+    pub coverage: ViewCoverage,
     /// Advice, most important first; empty if nothing is missing.
     pub missing: Vec<Hint>,
 }
@@ -141,13 +141,13 @@ const MOVES_PX_S: f64 = 100.0;
 
 impl Guidance {
     pub(super) fn new(board: &Board, chosen: &[&WeightedSighting], focal_px: f64) -> Self {
-        let mut points = vec![0; Coverage::CELLS];
+        let mut points = vec![0; ViewCoverage::CELLS];
         for kept in chosen {
             for (_, pixel) in &kept.seen.points {
-                points[Coverage::cell_of(kept.seen.size, *pixel)] += 1;
+                points[ViewCoverage::cell_of(kept.seen.size, *pixel)] += 1;
             }
         }
-        let coverage = Coverage { points };
+        let coverage = ViewCoverage { points };
         let mut missing = tilts(chosen, focal_px);
         missing.extend(places(&coverage));
         missing.extend(distance(board, chosen, focal_px));
@@ -180,14 +180,14 @@ fn tilts(chosen: &[&WeightedSighting], focal_px: f64) -> Vec<Hint> {
 
 /// The ninths of the image with less than half of their cells covered, the emptiest first. Corners
 /// win ties, because distortion is strongest there.
-fn places(coverage: &Coverage) -> Vec<Hint> {
-    let (columns, rows) = (Coverage::COLUMNS / 3, Coverage::ROWS / 3);
+fn places(coverage: &ViewCoverage) -> Vec<Hint> {
+    let (columns, rows) = (ViewCoverage::COLUMNS / 3, ViewCoverage::ROWS / 3);
     let mut poor: Vec<(usize, bool, Region)> = Vec::new();
     for row in 0..3 {
         for column in 0..3 {
             let seen = (0..columns * rows)
                 .map(|cell| {
-                    (row * rows + cell / columns) * Coverage::COLUMNS + column * columns + cell % columns
+                    (row * rows + cell / columns) * ViewCoverage::COLUMNS + column * columns + cell % columns
                 })
                 .filter(|&cell| coverage.points[cell] > 0)
                 .count();

@@ -12,7 +12,7 @@ mod nominal;
 mod sharpness;
 mod worth;
 
-pub use guidance::{Coverage, Direction, Guidance, Hint, Region};
+pub use guidance::{Direction, Guidance, Hint, Region, ViewCoverage};
 pub use sharpness::blur_px;
 
 use super::{Board, BoardView};

@@ -90,7 +90,10 @@ fn guidance_names_exactly_what_is_missing() {
     let far = [0.0, 20.0, 40.0, 60.0].iter().filter_map(|turn| view([0.0, 0.0, 1.5], [0.0, *turn, 0.0]));
     let missing = selector_of(far).guidance().missing;
     assert!(missing.contains(&Hint::ComeCloser) && missing.contains(&Hint::MoreViews(8)), "{missing:?}");
-    assert_eq!(Hint::GoTo(Region { column: 0, row: 0 }).to_string(), "go to the top left of the image");
+    assert_eq!(
+        Hint::GoTo(Region { column: 0, row: 0 }).to_string(),
+        "hold the board at the top left of the image"
+    );
     // Guidance is also available without any view.
     let nothing = selector_of([]).guidance();
     assert!(nothing.missing.contains(&Hint::MoreViews(12)) && nothing.coverage.share() == 0.0);

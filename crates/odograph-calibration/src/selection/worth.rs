@@ -1,7 +1,7 @@
 //! Information of a view about the lens: Fisher information with the pose of the board marginalised
 //! out.
 
-use super::guidance::Coverage;
+use super::guidance::ViewCoverage;
 use super::nominal::NominalView;
 use nalgebra::{SMatrix, SVector, Vector3};
 
@@ -24,7 +24,7 @@ impl NominalView {
     /// All unknowns are scaled to comparable size: focal lengths and principal point are in units
     /// of the focal length.
     pub fn lesson(&self, focal_px: f64, noise_px: f64) -> Lesson {
-        let cells = Coverage::cells_of(self.size, self.points.iter().map(|(_, pixel)| *pixel));
+        let cells = ViewCoverage::cells_of(self.size, self.points.iter().map(|(_, pixel)| *pixel));
         let mut lesson = Lesson { information: InformationMatrix::zeros(), cells };
         let Some(pose) = self.pose(focal_px) else { return lesson };
         let mut lens = InformationMatrix::zeros();
@@ -115,7 +115,7 @@ impl Knowledge {
     pub fn new() -> Self {
         let information = InformationMatrix::identity() * 4.0;
         let log_determinant = log_determinant(&information);
-        Self { information, log_determinant, covered: vec![false; Coverage::CELLS] }
+        Self { information, log_determinant, covered: vec![false; ViewCoverage::CELLS] }
     }
 
     /// Gain in information and coverage by a view.

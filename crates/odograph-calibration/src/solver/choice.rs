@@ -4,7 +4,7 @@ use super::bundle::BoardCorrespondence;
 use super::config::LensModel;
 use super::fit::{HoldOut, LensFit};
 use super::quality::{ErrorMap, covariance, disagreement_px};
-use super::result::Candidate;
+use super::result::ModelComparison;
 use odograph::camera::Camera;
 use odograph::geometry::Pixel;
 
@@ -22,7 +22,7 @@ const VERY_WIDE_RAD: f64 = std::f64::consts::FRAC_PI_3;
 pub struct Tried {
     pub fit: LensFit,
     pub hold_out: HoldOut,
-    pub candidate: Candidate,
+    pub candidate: ModelComparison,
     pub camera: Camera,
 }
 
@@ -32,7 +32,7 @@ impl Tried {
         let hold_out = fit.hold_out(sights);
         let camera = fit.state.lens.camera(size).ok()?;
         let map = ErrorMap::new(&camera, &fit.state.lens, &fit.unknowns.lens, covariance(&fit, sights));
-        let candidate = Candidate {
+        let candidate = ModelComparison {
             model: fit.model,
             hold_out_rms_px: hold_out.rms_px,
             rms_px: fit.rms_px(sights),

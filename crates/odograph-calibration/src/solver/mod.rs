@@ -19,7 +19,7 @@ mod zhang;
 
 pub use config::{CalibrationConfig, LensModel};
 pub use pose::board_pose;
-pub use result::{BoardPose, BoardShape, CalibratedView, Calibration, Candidate, Parameter, Verdict};
+pub use result::{BoardPose, BoardShape, CalibratedView, Calibration, ModelComparison, Parameter, Verdict};
 
 use super::{Board, BoardView};
 use bundle::{BoardCorrespondence, Bundle, residuals};
@@ -103,7 +103,7 @@ pub fn calibrate(board: &Board, views: &[BoardView], config: &CalibrationConfig)
         Error::input("the views do not determine a camera; take more, with more tilt and all over the image")
     })?;
     let hold_out_rms_px = tried[taken].hold_out.rms_px;
-    let mut candidates: Vec<Candidate> = tried.iter().map(|one| one.candidate.clone()).collect();
+    let mut candidates: Vec<ModelComparison> = tried.iter().map(|one| one.candidate.clone()).collect();
     candidates.sort_by_key(|candidate| candidate.model.coefficients());
     let mut fit = tried[taken].fit.clone();
     if usable.len() > compared.len() {
@@ -133,7 +133,7 @@ struct SolverOutcome {
     sights: Vec<Vec<BoardCorrespondence>>,
     reasons: Vec<Option<String>>,
     given: Vec<usize>,
-    candidates: Vec<Candidate>,
+    candidates: Vec<ModelComparison>,
     hold_out_rms_px: f64,
     start_lens: lens::Lens,
 }

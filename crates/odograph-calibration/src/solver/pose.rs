@@ -65,8 +65,8 @@ pub fn board_pose(camera: &Camera, board: &Board, view: &BoardView) -> Result<Bo
         return Err(misfit());
     }
     let freedom = (2.0 * list.len() as f64 - 6.0).max(1.0);
-    let told_px = (squares / freedom).sqrt().min(2.0 * noise_px).max(noise_px);
-    let bundle = Bundle { views: &views, unknowns: &poses_only, noise_px: told_px };
+    let assumed_px = (squares / freedom).sqrt().min(2.0 * noise_px).max(noise_px);
+    let bundle = Bundle { views: &views, unknowns: &poses_only, noise_px: assumed_px };
     let information: Matrix6<f64> = bundle.pose_information(&state)[0];
     let covariance = information.try_inverse().ok_or_else(misfit)?;
     Ok(BoardPose { camera_from_board: state.poses[0], covariance, rms_px, residuals: list })

@@ -65,7 +65,7 @@ impl CalibratedView {
 
 /// Comparison figures of one lens model.
 #[derive(Debug, Clone, PartialEq)]
-pub struct Candidate {
+pub struct ModelComparison {
     /// The lens model.
     pub model: LensModel,
     /// RMS reprojection error over held-out views, pixels; infinite if it could not be computed.
@@ -121,7 +121,7 @@ pub struct Calibration {
     pub views: Vec<CalibratedView>,
     /// The compared lens models in ascending order of their number of coefficients; only one if the
     /// configuration names the model.
-    pub candidates: Vec<Candidate>,
+    pub candidates: Vec<ModelComparison>,
     /// Estimated deformation of the board; `None` if the board was assumed flat.
     pub board_shape: Option<BoardShape>,
     /// Overall quality.

@@ -1,7 +1,7 @@
 //! `odograph demo`: the bundled drive, end to end.
 
 use super::evaluate::over_ground_m;
-use super::run::{ConsoleObserver, tell};
+use super::run::{ConsoleObserver, print_summary};
 use crate::{Outcome, console, files};
 use odograph::error::{Error, Result};
 use odograph::evaluation::{self, Alignment, EvaluationOptions};
@@ -99,8 +99,8 @@ pub fn demo(arguments: DemoArguments) -> Result<Outcome> {
         files::write(&unpacked.join(name), bytes)?;
     }
     let [clip, camera, rig, truth] = INPUTS.map(|(name, _)| unpacked.join(name));
-    let told = !arguments.quiet && !arguments.json;
-    if told {
+    let is_chatty = !arguments.quiet && !arguments.json;
+    if is_chatty {
         console::print(&format!(
             "A drive of half a minute over photographed floors; this is what you would type for a recording of your own:\n\n  \
              {} run {} --camera {} --rig {} -o {}\n\n",
@@ -119,9 +119,9 @@ pub fn demo(arguments: DemoArguments) -> Result<Outcome> {
         .reporter(HtmlReporter);
     let run = arguments.threads.iter().fold(run, |run, threads| run.threads(usize::from(*threads)));
     let followed = run.run(&ConsoleObserver::new(arguments.quiet))?;
-    tell(&followed, arguments.quiet, arguments.json)?;
+    print_summary(&followed, arguments.quiet, arguments.json)?;
     let outcome = Outcome::from(followed.end);
-    if told && outcome != Outcome::Interrupted {
+    if is_chatty && outcome != Outcome::Interrupted {
         compare(folder, &truth)?;
     }
     Ok(outcome)

@@ -1,5 +1,6 @@
 //! `odograph info`: what is in a recording, and what it can be used for.
 
+use super::run::{CameraSetup, ProfileChoice};
 use crate::{Outcome, console, files};
 use odograph::camera::Camera;
 use odograph::error::{Error, Result};
@@ -7,7 +8,7 @@ use odograph::formats::camera_file;
 use odograph_video::{Contents, RecordedCamera, Stream, StreamUse};
 use serde::Serialize;
 use std::fmt::Write;
-use std::path::PathBuf;
+use std::path::{Path, PathBuf};
 
 /// Show what a recording contains, and what it can be used for.
 #[derive(Debug, clap::Args)]
@@ -16,9 +17,11 @@ pub struct InfoArguments {
     /// A video, a folder of pictures, a picture, or a robot recording (MCAP, ROS bag).
     #[arg(value_name = "FILE")]
     file: String,
-    /// Camera file, to be told whether it fits.
+    /// Camera file, to check whether it fits.
     #[arg(long, value_name = "FILE")]
     camera: Option<PathBuf>,
+    #[command(flatten)]
+    chosen: ProfileChoice,
     /// Print JSON to standard output.
     #[arg(long)]
     json: bool,
@@ -34,12 +37,12 @@ Examples:
 struct InfoJson<'a> {
     file: &'a str,
     format: &'a str,
-    streams: Vec<ToldStream<'a>>,
+    streams: Vec<StreamJson<'a>>,
     warnings: &'a [String],
 }
 
 #[derive(Serialize)]
-struct ToldStream<'a> {
+struct StreamJson<'a> {
     topic: Option<&'a str>,
     #[serde(rename = "type")]
     kind: &'a str,
@@ -51,7 +54,7 @@ struct ToldStream<'a> {
     last_s: Option<f64>,
     duration_s: Option<f64>,
     rate_hz: Option<f64>,
-    gaps: Vec<ToldGap>,
+    gaps: Vec<GapJson>,
     /// Options of `odograph run` that use it; `None` for what cannot be used.
     option: Option<String>,
     /// The topic that describes the camera, and the camera in it.
@@ -62,17 +65,19 @@ struct ToldStream<'a> {
 }
 
 #[derive(Serialize)]
-struct ToldGap {
+struct GapJson {
     after_s: f64,
     length_s: f64,
 }
 
 /// Runs the command.
 pub fn info(arguments: InfoArguments) -> Result<Outcome> {
-    let camera_text = arguments.camera.as_deref().map(files::read_text).transpose()?;
+    let setup = CameraSetup { camera: arguments.camera.clone(), ..CameraSetup::default() };
+    let camera = setup.or_of_profile(arguments.chosen.profile.as_deref())?.camera;
+    let camera_text = camera.as_deref().map(files::read_text).transpose()?;
     let contents = odograph_video::inspect(&arguments.file)?;
     let fits = |stream: &Stream| -> Result<Option<bool>> {
-        let (Some(text), Some(path)) = (&camera_text, &arguments.camera) else { return Ok(None) };
+        let (Some(text), Some(path)) = (&camera_text, &camera) else { return Ok(None) };
         let StreamUse::Frames(_) = stream.usable_as else { return Ok(None) };
         let camera = camera_file::parse(text, stream.size).map_err(|error| error.at(path.display()))?;
         Ok(stream.size.map(|size| size == (camera.width(), camera.height())))
@@ -81,7 +86,9 @@ pub fn info(arguments: InfoArguments) -> Result<Outcome> {
     if arguments.json {
         console::print(&json(&arguments.file, &contents, &fits)?)?;
     } else {
-        console::print(&text(&arguments.file, &contents, &fits))?;
+        let given = arguments.camera.as_deref().filter(|_| fits.contains(&Some(true)));
+        let profile = arguments.chosen.profile.as_deref();
+        console::print(&text((&arguments.file, given, profile), &contents, &fits))?;
         contents.warnings.iter().for_each(|warning| console::warn(&format!("{}: {warning}", arguments.file)));
     }
     Ok(Outcome::Done)
@@ -112,7 +119,7 @@ fn recorded(stream: &Stream) -> Option<&RecordedCamera> {
 }
 
 fn json(file: &str, contents: &Contents, fits: &[Option<bool>]) -> Result<String> {
-    let streams = contents.streams.iter().zip(fits).map(|(stream, camera_fits)| ToldStream {
+    let streams = contents.streams.iter().zip(fits).map(|(stream, camera_fits)| StreamJson {
         topic: stream.topic.as_deref(),
         kind: &stream.kind,
         encoding: &stream.encoding,
@@ -126,22 +133,26 @@ fn json(file: &str, contents: &Contents, fits: &[Option<bool>]) -> Result<String
         gaps: stream
             .gaps
             .iter()
-            .map(|gap| ToldGap { after_s: gap.after_s, length_s: gap.length_s })
+            .map(|gap| GapJson { after_s: gap.after_s, length_s: gap.length_s })
             .collect(),
         option: option(stream),
         camera_topic: recorded(stream).map(|recorded| recorded.topic.as_str()),
         camera: recorded(stream).map(|recorded| &recorded.camera),
         camera_fits: *camera_fits,
     });
-    let told =
+    let json =
         InfoJson { file, format: &contents.format, streams: streams.collect(), warnings: &contents.warnings };
-    let text = serde_json::to_string_pretty(&told)
+    let text = serde_json::to_string_pretty(&json)
         .map_err(|error| Error::output(format!("the contents cannot be written as JSON: {error}")))?;
     Ok(text + "\n")
 }
 
 /// The contents for people: a line for each stream, and what it is good for below it.
-fn text(file: &str, contents: &Contents, fits: &[Option<bool>]) -> String {
+fn text(
+    (file, camera, profile): (&str, Option<&Path>, Option<&str>),
+    contents: &Contents,
+    fits: &[Option<bool>],
+) -> String {
     let mut text = String::new();
     let is_recording = contents.streams.iter().any(|stream| stream.topic.is_some());
     let _ = match contents.streams.len() {
@@ -151,7 +162,7 @@ fn text(file: &str, contents: &Contents, fits: &[Option<bool>]) -> String {
     for (stream, fits) in contents.streams.iter().zip(fits) {
         let topic = stream.topic.as_ref().map(|topic| format!("{topic}  ")).unwrap_or_default();
         let _ = writeln!(text, "{topic}{}", figures(stream).join(", "));
-        for line in notes(file, stream, *fits) {
+        for line in notes((file, camera, profile), stream, *fits) {
             let _ = writeln!(text, "    {line}");
         }
     }
@@ -180,7 +191,11 @@ fn figures(stream: &Stream) -> Vec<String> {
     figures
 }
 
-fn notes(file: &str, stream: &Stream, fits: Option<bool>) -> Vec<String> {
+fn notes(
+    (file, camera, profile): (&str, Option<&Path>, Option<&str>),
+    stream: &Stream,
+    fits: Option<bool>,
+) -> Vec<String> {
     let mut notes = Vec::new();
     if let Some(longest) = stream.gaps.iter().max_by(|a, b| a.length_s.total_cmp(&b.length_s)) {
         notes.push(format!(
@@ -193,14 +208,21 @@ fn notes(file: &str, stream: &Stream, fits: Option<bool>) -> Vec<String> {
     let given = option(stream);
     match (&stream.usable_as, given) {
         (StreamUse::Frames(_), Some(option)) => {
-            notes.push(format!("odograph run {file} {option}").trim_end().to_owned());
+            // The height is not asked of robot recordings, which may have the mount.
+            let missing = match (stream.topic.is_some(), profile, camera) {
+                (true, ..) => String::new(),
+                (false, Some(profile), _) => format!("--profile {profile}"),
+                (false, None, Some(camera)) => format!("--camera {} --height LENGTH", camera.display()),
+                (false, None, None) => "--camera FILE --height LENGTH".to_owned(),
+            };
+            notes.push(format!("odograph run {file} {option}{missing}").trim_end().to_owned());
             match (recorded(stream), stream.topic.is_some()) {
                 (Some(RecordedCamera { topic, rectified, .. }), _) => {
                     let rectified = if *rectified { ", as rectified images" } else { "" };
                     notes.push(format!("its camera is in {topic}{rectified}"));
                 }
                 (None, true) => {
-                    notes.push("its camera is not in the recording; --camera tells it".to_owned())
+                    notes.push("its camera is not in the recording; --camera gives it".to_owned())
                 }
                 (None, false) => {}
             }

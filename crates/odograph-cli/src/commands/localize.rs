@@ -1,12 +1,12 @@
 //! `odograph localize`: finds a camera in an existing map.
 
-use super::run::{ConsoleObserver, Frame, Motion};
+use super::run::{CameraSetup, ConsoleObserver, LogArguments, Motion, PoseFrameName, ProfileChoice};
 use crate::{Outcome, console};
 use odograph::error::{Error, Result};
 use odograph_map::MapFile;
 use odograph_report::HtmlReporter;
 use odograph_session::{
-    AlikePlace, MapUse, PlaceInMap, RunBuilder, RunOutcome, SourcePlan, Statistics, Verdict,
+    AlikePlace, MapUse, PlaceInMap, ResemblanceVerdict, RunBuilder, RunOutcome, RunStatistics, SourcePlan,
 };
 use serde::Serialize;
 use std::path::PathBuf;
@@ -37,9 +37,11 @@ pub struct LocalizeArguments {
     /// Rig file (TOML), if the camera is mounted differently from when the map was created.
     #[arg(help_heading = "Map", long, value_name = "FILE")]
     pub rig: Option<PathBuf>,
+    #[command(flatten)]
+    pub chosen: ProfileChoice,
     /// Frame whose place is printed. [default: the robot's if the map's rig has x_m, y_m, z_m]
     #[arg(help_heading = "Results", long, value_name = "FRAME")]
-    pub frame: Option<Frame>,
+    pub frame: Option<PoseFrameName>,
     /// What may change between frames.
     #[arg(help_heading = "Map", long, value_name = "MODEL", default_value = "auto")]
     pub motion: Motion,
@@ -67,6 +69,8 @@ pub struct LocalizeArguments {
     /// Print the place as JSON.
     #[arg(help_heading = "Results", long)]
     pub json: bool,
+    #[command(flatten)]
+    pub log: LogArguments,
 }
 
 const EXAMPLES: &str = "\
@@ -93,12 +97,19 @@ pub fn localize(arguments: LocalizeArguments) -> Result<Outcome> {
         .overwriting(arguments.force)
         .reporter(HtmlReporter);
     let run = if arguments.extend { run.map(MapUse::Continue(arguments.map.clone())) } else { run };
-    let run = arguments.rig.iter().fold(run, RunBuilder::rig_file);
+    // The camera is that of the map; a profile adds the mount.
+    let setup = CameraSetup { rig: arguments.rig.clone(), ..CameraSetup::default() };
+    let setup = setup.or_of_profile(arguments.chosen.profile.as_deref())?;
+    let run = CameraSetup { camera: None, field_of_view: None, ..setup }.of_run(run);
     let run = arguments.frame.into_iter().fold(run, |run, frame| run.frame(frame.into()));
     let run = arguments.output.iter().fold(run, RunBuilder::folder);
     let run = arguments.threads.iter().fold(run, |run, threads| run.threads(usize::from(*threads)));
-    let report = run.run(&ConsoleObserver::new(arguments.quiet))?;
-    tell(&arguments, &report)?;
+    let observer = ConsoleObserver::new(arguments.quiet).with_log(arguments.log);
+    let run = run.open(&observer)?;
+    observer.log_plan(run.plan(), run.source());
+    let report = run.follow(&observer)?;
+    observer.log_times(&report.statistics);
+    print_result(&arguments, &report)?;
     Ok(match (report.place, Outcome::from(report.end)) {
         (_, Outcome::Interrupted) => Outcome::Interrupted,
         (Some(_), outcome) => outcome,
@@ -117,19 +128,19 @@ struct LocalizationJson<'a> {
     session_source: Option<String>,
     /// The possible places if none is certain; the most probable first.
     alike: &'a [AlikePlace],
-    statistics: &'a Statistics,
+    statistics: &'a RunStatistics,
 }
 
-fn tell(arguments: &LocalizeArguments, report: &RunOutcome) -> Result<()> {
+fn print_result(arguments: &LocalizeArguments, report: &RunOutcome) -> Result<()> {
     let sessions = MapFile::open_read_only(&arguments.map)?.sessions()?;
     let source = |place: &PlaceInMap| {
         let session = sessions.iter().find(|session| session.id == place.session)?;
         Some(session.source.clone())
     };
     let alike = report.resemblance.as_ref().map_or(&[][..], |resemblance| &resemblance.places);
-    let verdict = report.resemblance.as_ref().map_or(Verdict::TooFewFeatures, |one| one.verdict);
+    let verdict = report.resemblance.as_ref().map_or(ResemblanceVerdict::TooFewFeatures, |one| one.verdict);
     if arguments.json {
-        let told = LocalizationJson {
+        let json = LocalizationJson {
             recognised: report.place.is_some(),
             verdict: report.place.map_or(verdict.name(), |_| "found"),
             place: report.place,
@@ -137,7 +148,7 @@ fn tell(arguments: &LocalizeArguments, report: &RunOutcome) -> Result<()> {
             alike,
             statistics: &report.statistics,
         };
-        let text = serde_json::to_string_pretty(&told)
+        let text = serde_json::to_string_pretty(&json)
             .map_err(|error| Error::output(format!("the place cannot be written as JSON: {error}")))?;
         console::print(&(text + "\n"))?;
     } else if let Some(place) = report.place.filter(|_| !arguments.quiet) {

@@ -11,7 +11,7 @@ use crate::lengths::{self, Height};
 use clap::ValueEnum;
 use odograph::error::Result;
 use odograph_simulation::Simulation;
-use output::Output;
+use output::SimulationOutput;
 use serde::Serialize;
 use std::path::{Path, PathBuf};
 
@@ -359,15 +359,15 @@ pub fn simulate(arguments: SimulateArguments) -> Result<Outcome> {
         true => parameters.with_sensors(&simulation.sensors()?),
         false => parameters,
     };
-    let output = Output::prepared(&arguments, &simulation)?;
+    let output = SimulationOutput::prepared(&arguments, &simulation)?;
     output.write(&simulation, &parameters)?;
     if !arguments.quiet {
-        tell(output.folder(), &simulation)?;
+        print_result(output.folder(), &simulation)?;
     }
     Ok(Outcome::Done)
 }
 
-fn tell(folder: &Path, simulation: &Simulation) -> Result<()> {
+fn print_result(folder: &Path, simulation: &Simulation) -> Result<()> {
     let last_s = simulation.times_s().last().copied().unwrap_or(0.0);
     crate::console::print(&format!(
         "{}: {} frames, {last_s:.2} s, {:.2} m of path; truth.tum, camera.yaml and rig.toml lie beside them\n",

@@ -8,7 +8,7 @@ use odograph::correction::{FieldOfViewKept, ImageCorrection};
 use odograph::error::{Error, Result};
 use odograph::formats::camera_file;
 use odograph_video::SourceOptions;
-use output::Output;
+use output::UndistortedOutput;
 use std::path::{Path, PathBuf};
 
 /// Remove the lens distortion from a recording.
@@ -132,7 +132,7 @@ pub fn undistort(arguments: UndistortArguments) -> Result<Outcome> {
     let correction = ImageCorrection::new(&camera, arguments.field_of_view_kept.into()).map_err(in_file)?;
     let folder =
         arguments.output.clone().unwrap_or_else(|| files::free_beside(&arguments.source, "-undistorted"));
-    let mut output = Output::new(&folder, arguments.format, arguments.force)?;
+    let mut output = UndistortedOutput::new(&folder, arguments.format, arguments.force)?;
     let corrected = pipeline::correct(source, &correction, &arguments, &mut output)?;
     let Some(before_after) = &corrected.before_after else {
         return Err(corrected.failure.unwrap_or_else(|| {
@@ -141,13 +141,17 @@ pub fn undistort(arguments: UndistortArguments) -> Result<Outcome> {
     };
     output.finish(correction.camera(), before_after)?;
     if !arguments.quiet {
-        tell(&folder, &correction, &corrected)?;
+        print_result(&folder, &correction, &corrected)?;
     }
     // The error that ended the recording is reported after everything before it has been written.
     corrected.failure.map_or(Ok(Outcome::Done), Err)
 }
 
-fn tell(folder: &Path, correction: &ImageCorrection, corrected: &pipeline::CorrectionSummary) -> Result<()> {
+fn print_result(
+    folder: &Path,
+    correction: &ImageCorrection,
+    corrected: &pipeline::CorrectionSummary,
+) -> Result<()> {
     let camera = correction.camera();
     let empty = correction.pixels_without_source() as f64 / (camera.width() * camera.height()) as f64;
     console::print(&format!(

@@ -15,7 +15,7 @@ pub struct WatchedCamera {
     socket: WebSocket<TcpStream>,
     errors: JoinHandle<String>,
     held: u64,
-    told: Value,
+    outcome: Value,
     pub url: String,
 }
 
@@ -30,9 +30,9 @@ impl WatchedCamera {
         // A stream is identified only by its first frame, here a black one.
         frames.write_all(b"FRAME\n").unwrap();
         frames.write_all(&vec![0; width * height]).unwrap();
-        let mut told = BufReader::new(child.stderr.take().unwrap());
+        let mut outcome = BufReader::new(child.stderr.take().unwrap());
         let mut line = String::new();
-        told.read_line(&mut line).unwrap();
+        outcome.read_line(&mut line).unwrap();
         let url = line
             .split_whitespace()
             .find(|word| word.starts_with("http://"))
@@ -40,22 +40,22 @@ impl WatchedCamera {
         let url = url.to_owned();
         let errors = std::thread::spawn(move || {
             let mut rest = String::new();
-            told.read_to_string(&mut rest).unwrap();
+            outcome.read_to_string(&mut rest).unwrap();
             rest
         });
         let host = url.trim_start_matches("http://").trim_end_matches('/');
         let stream = TcpStream::connect(host).unwrap();
         let (socket, _) = tungstenite::client(format!("ws://{host}/socket"), stream).unwrap();
-        Self { child, frames: Some(frames), socket, errors, held: 1, told: Value::Null, url }
+        Self { child, frames: Some(frames), socket, errors, held: 1, outcome: Value::Null, url }
     }
 
     /// Sends a frame, waits until it has been processed, and returns the status.
     pub fn hold(&mut self, picture: &GrayImage) -> Value {
         assert!(self.give(picture), "it takes no frames any more");
-        while self.told["looked_at"].as_u64() != Some(self.held) {
+        while self.outcome["looked_at"].as_u64() != Some(self.held) {
             self.next();
         }
-        self.told.clone()
+        self.outcome.clone()
     }
 
     fn give(&mut self, picture: &GrayImage) -> bool {
@@ -67,28 +67,28 @@ impl WatchedCamera {
     /// Holds the board still for three frames; returns the last status received.
     pub fn hold_still(&mut self, picture: &GrayImage) -> Value {
         for _ in 0..3 {
-            if self.told["verdict"].is_null() && self.give(picture) {
-                while self.told["looked_at"].as_u64() != Some(self.held)
-                    && self.told["verdict"].is_null()
+            if self.outcome["verdict"].is_null() && self.give(picture) {
+                while self.outcome["looked_at"].as_u64() != Some(self.held)
+                    && self.outcome["verdict"].is_null()
                     && self.next()
                 {}
             }
         }
-        self.told.clone()
+        self.outcome.clone()
     }
 
     /// Holds the board until the guidance about missing views is available.
     pub fn guided(&mut self, picture: &GrayImage) -> Value {
         while self.hold(picture)["views"].as_u64().unwrap() < 3 {}
-        self.told.clone()
+        self.outcome.clone()
     }
 
     /// Holds the board until there is a verdict.
-    pub fn until_it_ends(&mut self, mut told: Value, picture: &GrayImage) -> Value {
-        while told["verdict"].is_null() {
-            told = self.hold_still(picture);
+    pub fn until_it_ends(&mut self, mut outcome: Value, picture: &GrayImage) -> Value {
+        while outcome["verdict"].is_null() {
+            outcome = self.hold_still(picture);
         }
-        told
+        outcome
     }
 
     /// Reads a message; `false` if the program has ended.
@@ -97,7 +97,7 @@ impl WatchedCamera {
         if let Message::Text(text) = message {
             let message: Value = serde_json::from_str(&text).unwrap();
             if message["kind"] == "calibration" {
-                self.told = message["calibration"].clone();
+                self.outcome = message["calibration"].clone();
             }
         }
         true

@@ -58,27 +58,27 @@ fn a_nearly_full_disk_stops_recording_but_not_tracking() {
         assert!(poses.by_ref().take(20).count() == 20, "the drive ended");
         serde_json::from_str::<serde_json::Value>(&live.get("/state")).unwrap()["status"].clone()
     };
-    let mut told = status(&live);
-    while told["message"].is_null() {
-        told = status(&live);
+    let mut outcome = status(&live);
+    while outcome["message"].is_null() {
+        outcome = status(&live);
     }
-    let message = told["message"].as_str().unwrap();
+    let message = outcome["message"].as_str().unwrap();
     assert!(message.contains("nearly full") && message.contains(" MB are left"), "{message}");
-    assert_eq!(told["recording"], json!(true));
+    assert_eq!(outcome["recording"], json!(true));
     // A part of the drive must be recorded before the disk is full.
     let recorded = place.path("disk/out/trajectory.csv.part");
     while !std::fs::read_to_string(&recorded).is_ok_and(|table| table.lines().count() > 20) {
-        told = status(&live);
+        outcome = status(&live);
     }
     disk.fill();
-    while told["recording"] == json!(true) {
-        told = status(&live);
+    while outcome["recording"] == json!(true) {
+        outcome = status(&live);
     }
-    let message = told["message"].as_str().unwrap();
+    let message = outcome["message"].as_str().unwrap();
     assert!(message.contains("No space left on device") && message.contains("tracking goes on"), "{message}");
-    let captured = told["captured"].as_u64().unwrap();
-    while told["captured"].as_u64().unwrap() < captured + 40 {
-        told = status(&live);
+    let captured = outcome["captured"].as_u64().unwrap();
+    while outcome["captured"].as_u64().unwrap() < captured + 40 {
+        outcome = status(&live);
     }
     live.end();
     // The frames recorded before are in the table, line by line; all of them, if closing the map
@@ -104,9 +104,9 @@ fn a_map_too_large_for_its_disk_costs_no_trajectory() {
         }
     };
     let done = place.command("run", "drive.y4m --map disk/map.gpkg -o out --quiet").output().unwrap();
-    let told = String::from_utf8_lossy(&done.stderr);
-    assert_eq!(done.status.code(), Some(3), "{told}");
-    assert!(told.contains("disk/map.gpkg"), "{told}");
+    let outcome = String::from_utf8_lossy(&done.stderr);
+    assert_eq!(done.status.code(), Some(3), "{outcome}");
+    assert!(outcome.contains("disk/map.gpkg"), "{outcome}");
     let table = String::from_utf8(place.read("out/trajectory.csv")).unwrap();
     assert_eq!(json!(table.lines().count() - 1), statistics(&place.path("out"))["frames"]);
     // All 121 frames of four seconds.

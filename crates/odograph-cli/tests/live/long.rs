@@ -58,7 +58,7 @@ fn loop_closures_correct_the_page_but_never_the_pose_stream() {
     let place = LiveFolder::new();
     let mut live = place.server("live", &format!("{DEMO}/drive.mp4 --realtime --print poses -o out"));
     let output = live.output();
-    let told = std::thread::spawn(move || {
+    let message = std::thread::spawn(move || {
         let poses = BufReader::new(output).lines().map_while(Result::ok);
         let poses =
             poses.map(|line| serde_json::from_str::<serde_json::Value>(&line).unwrap()["pose"].clone());
@@ -73,7 +73,7 @@ fn loop_closures_correct_the_page_but_never_the_pose_stream() {
     let text = browser.evaluate(&page, "document.body.innerText");
     println!("{text}");
     live.end();
-    let poses = told.join().unwrap();
+    let poses = message.join().unwrap();
     // No step is longer than the maximum speed allows between frames of which some may have been
     // dropped: 0.6 m/s for one second.
     let longest = poses.windows(2).map(|w| (w[1][0] - w[0][0]).hypot(w[1][1] - w[0][1])).fold(0.0, f64::max);

@@ -60,14 +60,14 @@ impl LiveFolder {
         let arguments = format!("{arguments} --serve 127.0.0.1:0");
         let mut command = self.command(name, &arguments);
         let mut child = command.stdout(Stdio::piped()).stderr(Stdio::piped()).spawn().unwrap();
-        let mut told = BufReader::new(child.stderr.take().unwrap());
+        let mut message = BufReader::new(child.stderr.take().unwrap());
         let mut line = String::new();
         while !line.contains("look at http://") {
             line.clear();
-            assert!(told.read_line(&mut line).unwrap() > 0, "the program ended before it had a page");
+            assert!(message.read_line(&mut line).unwrap() > 0, "the program ended before it had a page");
         }
         let url = line.split_whitespace().find(|word| word.starts_with("http://")).unwrap().to_owned();
-        std::thread::spawn(move || told.lines().for_each(drop));
+        std::thread::spawn(move || message.lines().for_each(drop));
         ServingProgram { child, url }
     }
 }

@@ -64,13 +64,13 @@ fn a_run_stores_the_mosaic_in_its_map() {
     let back_m = along(0.0, 119.0).max(along(159.0, 119.0)).max(along(79.5, 119.0));
     let ahead_m = along(0.0, 0.0).min(along(159.0, 0.0)).min(along(79.5, 0.0));
     let seen_m = 1.2 + back_m - ahead_m;
-    let laid_m = width as f64 * layer.resolution_m;
+    let rendered_m = width as f64 * layer.resolution_m;
     // It covers the ground from the first frame to the last, except for frames that add little new
     // ground; a ground pixel at each end is partly observed.
     let new_m = 0.1 * (back_m - ahead_m);
     assert!(
-        laid_m < seen_m + 2.0 * layer.resolution_m && laid_m > seen_m - new_m,
-        "{laid_m} m of {seen_m} m"
+        rendered_m < seen_m + 2.0 * layer.resolution_m && rendered_m > seen_m - new_m,
+        "{rendered_m} m of {seen_m} m"
     );
     drop(map);
 
@@ -110,11 +110,11 @@ fn an_image_is_localised_without_changing_the_map() {
     };
     let picture = frames[middle].to_str().unwrap();
     let found = localize(&[picture]);
-    let told = String::from_utf8(found.stdout).unwrap();
-    assert_eq!(found.status.code(), Some(0), "{told} {}", String::from_utf8_lossy(&found.stderr));
+    let message = String::from_utf8(found.stdout).unwrap();
+    assert_eq!(found.status.code(), Some(0), "{message} {}", String::from_utf8_lossy(&found.stderr));
     assert!(
-        told.contains("heading") && told.contains("nearest: keyframe") && told.contains("session 0"),
-        "{told}"
+        message.contains("heading") && message.contains("nearest: keyframe") && message.contains("session 0"),
+        "{message}"
     );
 
     let json = localize(&[picture, "--json"]);
@@ -147,11 +147,12 @@ fn an_image_is_localised_without_changing_the_map() {
     others.sort();
     for more in [&[][..], &["--json"], &["-o", "nowhere"]] {
         let lost = localize(&[&[others[3].to_str().unwrap()], more].concat());
-        let told = String::from_utf8(lost.stderr).unwrap();
+        let message = String::from_utf8(lost.stderr).unwrap();
         assert!(
             lost.status.code() == Some(4)
-                && told.contains("resembles nothing in out/map.gpkg; this ground was probably never mapped"),
-            "{told}"
+                && message
+                    .contains("resembles nothing in out/map.gpkg; this ground was probably never mapped"),
+            "{message}"
         );
         let json = serde_json::from_slice::<serde_json::Value>(&lost.stdout);
         let never_seen = |json: serde_json::Value| {
@@ -189,10 +190,13 @@ fn ambiguous_places_are_listed_and_not_accepted() {
             .unwrap()
     };
     let listed = localize(&[]);
-    let (places, told) =
+    let (places, message) =
         (String::from_utf8(listed.stdout).unwrap(), String::from_utf8(listed.stderr).unwrap());
-    assert_eq!(listed.status.code(), Some(4), "{told}");
-    assert!(told.starts_with("error: cannot tell: ") && told.contains("none of them is certain"), "{told}");
+    assert_eq!(listed.status.code(), Some(4), "{message}");
+    assert!(
+        message.starts_with("error: cannot tell: ") && message.contains("none of them is certain"),
+        "{message}"
+    );
     assert!(
         places.lines().count() >= 2 && places.lines().all(|line| line.starts_with("perhaps ")),
         "{places}"

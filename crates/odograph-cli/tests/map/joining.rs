@@ -6,7 +6,7 @@ use odograph::camera::{Camera, Distortion, Rig};
 use odograph::geometry::GroundPose;
 use odograph::ground_map::{KeyframeImage, KeyframeImages, MapKeyframe};
 use odograph::image::Pyramid;
-use odograph::keyframe::relative_pose::{laid_from, seen_from};
+use odograph::keyframe::relative_pose::{compose, relative_motion};
 use odograph::keyframe::{EdgeKind, KeyframeId, MapEdge};
 use odograph::place_recognition::{PlacesConfig, Signature};
 use odograph_map::{MapFile, PathFrame};
@@ -82,9 +82,9 @@ fn map_of(path: &Path, truth: &[GroundPose], known: &[GroundPose], edges: &[MapE
 fn drive(path: &Path, truth: &[GroundPose]) {
     let level = GroundPose::level(HEIGHT_M);
     let known: Vec<_> =
-        truth.iter().map(|pose| laid_from(&level, &seen_from(&truth[0], pose), 1.0)).collect();
+        truth.iter().map(|pose| compose(&level, &relative_motion(&truth[0], pose), 1.0)).collect();
     let edges: Vec<_> = (1..truth.len())
-        .map(|i| tie(i - 1, i, EdgeKind::Odometry, seen_from(&truth[i - 1], &truth[i])))
+        .map(|i| tie(i - 1, i, EdgeKind::Odometry, relative_motion(&truth[i - 1], &truth[i])))
         .collect();
     map_of(path, truth, &known, &edges);
 }
@@ -101,14 +101,17 @@ fn overlapping_maps_are_merged() {
     let second = way((2.3, 0.4), -2.7, 9);
     drive(&at("b.gpkg"), &second);
     let before = [fs::read(at("a.gpkg")).unwrap(), fs::read(at("b.gpkg")).unwrap()];
-    let mut laid = MapFile::open(&at("b.gpkg")).unwrap();
-    laid.lay_mosaic(Some(0.01), &mut |_| true).unwrap();
-    laid.close().unwrap();
+    let mut rendered = MapFile::open(&at("b.gpkg")).unwrap();
+    rendered.render_mosaic(Some(0.01), &mut |_| true).unwrap();
+    rendered.close().unwrap();
 
     let merge = ["merge", "a.gpkg", "b.gpkg", "-o", "c.gpkg"];
-    let (code, told, complaints) = text(&odograph(&merge, folder.path()));
+    let (code, message, complaints) = text(&odograph(&merge, folder.path()));
     assert_eq!((code, complaints.as_str()), (0, ""));
-    assert!(told.starts_with("b.gpkg: 9 keyframes, seen again in ") && told.ends_with("c.gpkg\n"), "{told}");
+    assert!(
+        message.starts_with("b.gpkg: 9 keyframes, seen again in ") && message.ends_with("c.gpkg\n"),
+        "{message}"
+    );
     let mut joined = MapFile::open_read_only(&at("c.gpkg")).unwrap();
     joined.check().unwrap();
     let sources: Vec<_> = joined.sessions().unwrap().into_iter().map(|session| session.source).collect();
@@ -144,8 +147,8 @@ fn overlapping_maps_are_merged() {
         (vec!["merge", "a.gpkg", "none.gpkg", "-o", "d.gpkg"], 3, "none.gpkg"),
         (vec!["merge", "a.gpkg", "far.gpkg", "-o", "c.gpkg", "--force"], 3, "no ground of far.gpkg"),
     ] {
-        let (found, told, complaint) = text(&odograph(&arguments, folder.path()));
-        assert_eq!((found, told.as_str()), (code, ""), "{arguments:?}: {complaint}");
+        let (found, message, complaint) = text(&odograph(&arguments, folder.path()));
+        assert_eq!((found, message.as_str()), (code, ""), "{arguments:?}: {complaint}");
         assert!(complaint.contains(part), "{arguments:?}: {complaint}");
     }
     let mut left: Vec<_> = fs::read_dir(folder.path()).unwrap().map(|e| e.unwrap().file_name()).collect();
@@ -165,14 +168,15 @@ fn optimisation_straightens_a_bent_map_with_its_trajectory() {
     let truth: Vec<GroundPose> = there.into_iter().chain(back).collect();
     let (mut edges, mut known) = (Vec::new(), vec![truth[0]]);
     for i in 1..truth.len() {
-        let mut motion = seen_from(&truth[i - 1], &truth[i]);
+        let mut motion = relative_motion(&truth[i - 1], &truth[i]);
         motion[2] += 0.01;
         edges.push(tie(i - 1, i, EdgeKind::Odometry, motion));
-        known.push(laid_from(&known[i - 1], &motion, 1.0));
+        known.push(compose(&known[i - 1], &motion, 1.0));
     }
     let exact = |edge: MapEdge| MapEdge { covariance: edge.covariance * 1e-2, ..edge };
-    edges
-        .extend((6..12).map(|i| exact(tie(i, 11 - i, EdgeKind::Loop, seen_from(&truth[i], &truth[11 - i])))));
+    edges.extend(
+        (6..12).map(|i| exact(tie(i, 11 - i, EdgeKind::Loop, relative_motion(&truth[i], &truth[11 - i])))),
+    );
     map_of(&path, &truth, &known, &edges);
     let worst_m = |map: &MapFile| {
         let keyframes = map.map().unwrap().keyframes;
@@ -181,10 +185,10 @@ fn optimisation_straightens_a_bent_map_with_its_trajectory() {
     let bent_m = worst_m(&MapFile::open_read_only(&path).unwrap());
 
     let bytes = fs::read(&path).unwrap();
-    let (code, told, complaints) =
+    let (code, message, complaints) =
         text(&odograph(&["optimize", "map.gpkg", "-o", "straight.gpkg"], folder.path()));
     assert_eq!((code, complaints.as_str()), (0, ""));
-    assert!(told.starts_with("12 keyframes, 17 edges, 6 of them loops; moved by up to "), "{told}");
+    assert!(message.starts_with("12 keyframes, 17 edges, 6 of them loops; moved by up to "), "{message}");
     assert_eq!(fs::read(&path).unwrap(), bytes, "the map itself was not asked to be changed");
     let straight = MapFile::open_read_only(&folder.path().join("straight.gpkg")).unwrap();
     // Loop closures correct everything observable: all except a rotation of the first keyframes,
@@ -198,8 +202,8 @@ fn optimisation_straightens_a_bent_map_with_its_trajectory() {
     drop(straight);
 
     // Optimised again in place: it is at the optimum already, so nothing moves by a micrometre.
-    let told = text(&odograph(&["optimize", "straight.gpkg"], folder.path()));
-    assert!(told.0 == 0 && told.1.ends_with("moved by up to 0.00 mm\n"), "{told:?}");
+    let message = text(&odograph(&["optimize", "straight.gpkg"], folder.path()));
+    assert!(message.0 == 0 && message.1.ends_with("moved by up to 0.00 mm\n"), "{message:?}");
     let (code, _, complaint) =
         text(&odograph(&["optimize", "map.gpkg", "-o", "straight.gpkg"], folder.path()));
     assert!(code == 2 && complaint.contains("already there"), "{complaint}");

@@ -1,5 +1,7 @@
 //! Conversion of frames into Foxglove messages.
 
+use base64::Engine as _;
+use base64::engine::general_purpose::STANDARD as BASE64;
 use nalgebra::Isometry3;
 use odograph::geometry::pose_index::{X, Y};
 use odograph::odometry::TrackView;
@@ -52,7 +54,7 @@ pub fn pose_in_frame(at: u64, pose: &Isometry3<f64>) -> Value {
 }
 
 pub fn compressed_image(at: u64, jpeg: &[u8]) -> Value {
-    json!({ "timestamp": time(at), "frame_id": CAMERA, "data": base64(jpeg), "format": "jpeg" })
+    json!({ "timestamp": time(at), "frame_id": CAMERA, "data": BASE64.encode(jpeg), "format": "jpeg" })
 }
 
 /// The tracks on an image of `scale` times the camera's size: inliers and outliers in two colours.
@@ -127,33 +129,4 @@ pub fn path(at: u64, stretches: &[Vec<[f64; 2]>]) -> Value {
         })
     };
     scene(at, "path", json!([]), stretches.iter().map(line).collect())
-}
-
-/// Base64 encoding (RFC 4648, section 4).
-fn base64(bytes: &[u8]) -> String {
-    const DIGITS: &[u8; 64] = b"ABCDEFGHIJKLMNOPQRSTUVWXYZabcdefghijklmnopqrstuvwxyz0123456789+/";
-    let mut text = String::with_capacity(bytes.len().div_ceil(3) * 4);
-    for group in bytes.chunks(3) {
-        let byte = |at: usize| u32::from(group.get(at).copied().unwrap_or(0));
-        let word = byte(0) << 16 | byte(1) << 8 | byte(2);
-        for digit in 0..4 {
-            let value = (word >> (18 - 6 * digit) & 63) as usize;
-            text.push(if digit <= group.len() { char::from(DIGITS[value]) } else { '=' });
-        }
-    }
-    text
-}
-
-#[cfg(test)]
-mod tests {
-    use super::*;
-
-    #[test]
-    fn base64_matches_the_rfc_examples() {
-        let examples = [("", ""), ("f", "Zg=="), ("fo", "Zm8="), ("foo", "Zm9v"), ("foobar", "Zm9vYmFy")];
-        for (bytes, text) in examples {
-            assert_eq!(base64(bytes.as_bytes()), text);
-        }
-        assert_eq!(base64(&[0xfb, 0xff]), "+/8=");
-    }
 }

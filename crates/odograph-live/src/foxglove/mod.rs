@@ -35,7 +35,7 @@ const LARGEST_CHUNK: u64 = 8 << 20;
 
 /// The image of a frame with its tracks.
 #[derive(Debug, Clone, PartialEq)]
-pub struct Picture {
+pub struct TrackedImage {
     /// The camera image.
     pub gray: GrayImage,
     /// The tracks in it.
@@ -110,7 +110,7 @@ impl McapFile {
         frame: &FrameEstimate,
         of: &PoseFrame,
         latency_ms: f64,
-        picture: Option<&Picture>,
+        picture: Option<&TrackedImage>,
     ) -> Result<()> {
         let at = (frame.time_s * 1e9).round() as u64;
         if at.saturating_sub(*self.chunk_began.get_or_insert(at)) >= SECOND {
@@ -119,34 +119,34 @@ impl McapFile {
         }
         let channels = &self.channels;
         let mut messages = vec![(channels.frame, json_line(frame, Some(latency_ms)))];
-        let mut tell = |channel: u16, message: Value| messages.push((channel, message.to_string()));
+        let mut write = |channel: u16, message: Value| messages.push((channel, message.to_string()));
         if self.status.replace(frame.status) != Some(frame.status) {
             let lost = frame.status != TrackStatus::Tracked;
-            tell(channels.log, messages::log(at, lost, &frame.status.to_string()));
+            write(channels.log, messages::log(at, lost, &frame.status.to_string()));
             if lost {
-                tell(channels.uncertainty, messages::cleared(at));
+                write(channels.uncertainty, messages::cleared(at));
             }
         }
         if let Some(known) = &frame.estimate {
             let placed = of.world_from_frame(&known.pose);
-            tell(channels.transform, messages::frame_transform(at, WORLD, of.name(), &placed));
+            write(channels.transform, messages::frame_transform(at, WORLD, of.name(), &placed));
             if let PoseFrame::BaseLink(base) = of {
                 let on_robot = base.base_from_camera();
-                tell(channels.transform, messages::frame_transform(at, of.name(), CAMERA, on_robot));
+                write(channels.transform, messages::frame_transform(at, of.name(), CAMERA, on_robot));
             }
-            tell(channels.pose, messages::pose_in_frame(at, &placed));
-            tell(channels.uncertainty, messages::ellipse(at, known));
+            write(channels.pose, messages::pose_in_frame(at, &placed));
+            write(channels.uncertainty, messages::ellipse(at, known));
             self.sketch.add(frame.segment, [known.pose.x_m, known.pose.y_m]);
         }
         if self.drawn.is_none_or(|drawn| at.saturating_sub(drawn) >= SECOND) {
             self.drawn = Some(at);
-            tell(channels.path, messages::path(at, &self.sketch.stretches()));
+            write(channels.path, messages::path(at, &self.sketch.stretches()));
         }
-        if let Some(Picture { gray, tracks }) = picture
+        if let Some(TrackedImage { gray, tracks }) = picture
             && let Some((jpeg, scale)) = encode(gray)
         {
-            tell(channels.picture, messages::compressed_image(at, &jpeg));
-            tell(channels.tracks, messages::image_annotations(at, tracks, scale));
+            write(channels.picture, messages::compressed_image(at, &jpeg));
+            write(channels.tracks, messages::image_annotations(at, tracks, scale));
         }
         self.frames = self.frames.saturating_add(1);
         self.newest = self.newest.max(at);

@@ -33,9 +33,9 @@ fn frame(number: u64) -> FrameEstimate {
     }
 }
 
-fn picture() -> Picture {
+fn picture() -> TrackedImage {
     let track = |x: f64, inlier| TrackView { pixel: Pixel::new(x, 3.0), corner: Pixel::new(x, 4.0), inlier };
-    Picture { gray: GrayImage::new(16, 12), tracks: vec![track(2.0, true), track(7.0, false)] }
+    TrackedImage { gray: GrayImage::new(16, 12), tracks: vec![track(2.0, true), track(7.0, false)] }
 }
 
 /// Reads all messages by topic and checks each against the schema of its channel. The file is

@@ -129,11 +129,11 @@ function showFigures() {
   const set = (id, text) => { $(id).textContent = known ? text : "–"; };
   const degrees = track.get(at, "heading") * 180 / Math.PI;
   set("speed", track.get(at, "speed").toFixed(2));
-  set("heading", (((degrees + 180) % 360 + 360) % 360 - 180).toFixed(1));
   // Avoids a displayed -0.000.
-  const metres = value => (+value.toFixed(3) || 0).toFixed(3);
-  set("x", metres(track.get(at, "x")));
-  set("y", metres(track.get(at, "y")));
+  const rounded = (value, digits) => (+value.toFixed(digits) || 0).toFixed(digits);
+  set("heading", rounded(((degrees + 180) % 360 + 360) % 360 - 180, 1));
+  set("x", rounded(track.get(at, "x"), 3));
+  set("y", rounded(track.get(at, "y"), 3));
   const sigma = 1000 * Math.sqrt(Math.max(track.get(at, "varX"), track.get(at, "varY")));
   set("sigma", sigma < 1000 ? sigma.toFixed(1) : (sigma / 1000).toFixed(2));
   $("sigma-unit").textContent = sigma < 1000 ? "mm" : "m";

@@ -1,6 +1,9 @@
 // Small plots over time. Each pixel column shows the minimum and maximum of its frames, so that
 // short peaks stay visible.
 
+// Height above the curve for the label of its largest value, pixels.
+const LABEL_PX = 12;
+
 export class Plots {
   constructor(parent, track, live, seek) {
     this.track = track;
@@ -62,7 +65,7 @@ export class Plots {
     const now = t.count ? value(Math.min(at, t.count - 1)) : NaN;
     plot.label.textContent = Number.isFinite(now) ? `${now.toFixed(plot.digits)} ${plot.unit}` : "–";
     if (!(high > 0)) return;
-    const y = v => height - 2 - (height - 5) * v / high;
+    const y = v => height - 2 - (height - 2 - LABEL_PX) * v / high;
     c.strokeStyle = color("--path"); c.lineWidth = 1.4; c.lineJoin = "round"; c.beginPath();
     let pen = false;
     for (let x = 0; x < width; x++) {
@@ -72,7 +75,7 @@ export class Plots {
       pen = true;
     }
     c.stroke();
-    c.fillStyle = color("--soft"); c.font = "10px system-ui, sans-serif"; c.fillText(`${high.toFixed(plot.digits)}`, 2, 9);
+    c.fillStyle = color("--soft"); c.font = "10px system-ui, sans-serif"; c.fillText(`${high.toFixed(plot.digits)}`, 2, LABEL_PX - 3);
     const x = (t.get(Math.min(at, t.count - 1), "t") - from) / (to - from) * (width - 1);
     c.strokeStyle = color("--ink"); c.globalAlpha = .5; c.lineWidth = 1; c.beginPath(); c.moveTo(x, 0); c.lineTo(x, height); c.stroke(); c.globalAlpha = 1;
   }

@@ -4,7 +4,7 @@
 mod pyramid;
 mod tile;
 
-use crate::complaint::Told;
+use crate::complaint::WithContext;
 use crate::file::MapFile;
 use odograph::error::Result;
 use odograph::geometry::Placement;
@@ -62,15 +62,15 @@ impl MapFile {
     ///
     /// Returns whether the mosaic was replaced: false if it was cancelled, or if no keyframe sees
     /// the ground.
-    pub fn lay_mosaic(
+    pub fn render_mosaic(
         &mut self,
         ground_resolution_m: Option<f64>,
         progress: &mut dyn FnMut(usize) -> bool,
     ) -> Result<bool> {
-        let Some(laying) = MapMosaic::new(&self.map()?, self, ground_resolution_m)? else {
+        let Some(rendering) = MapMosaic::new(&self.map()?, self, ground_resolution_m)? else {
             return Ok(false);
         };
-        self.all_or_nothing(|file| file.lay_all(laying, progress))
+        self.all_or_nothing(|file| file.render_all(rendering, progress))
     }
 
     /// Replaces the stored mosaic by one that was rendered elsewhere, at its resolution (coarsened
@@ -148,15 +148,19 @@ impl MapFile {
         Ok(tiles)
     }
 
-    fn lay_all(&mut self, mut laying: MapMosaic, progress: &mut dyn FnMut(usize) -> bool) -> Result<bool> {
-        let mut pyramid = TilePyramid::begin(&self.connection, laying.tiles(), laying.resolution_m())
+    fn render_all(
+        &mut self,
+        mut rendering: MapMosaic,
+        progress: &mut dyn FnMut(usize) -> bool,
+    ) -> Result<bool> {
+        let mut pyramid = TilePyramid::begin(&self.connection, rendering.tiles(), rendering.resolution_m())
             .while_writing(&self.complaint)?;
-        while let Some(tiles) = laying.next_tiles(self)? {
+        while let Some(tiles) = rendering.next_tiles(self)? {
             for tile in &tiles {
                 let png = tile::encode(&tile.rgba)?;
                 pyramid.put(&self.connection, tile, &png).while_writing(&self.complaint)?;
             }
-            if !progress(laying.patches_left()) {
+            if !progress(rendering.patches_left()) {
                 return Ok(false);
             }
         }

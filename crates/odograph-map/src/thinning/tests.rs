@@ -24,7 +24,7 @@ fn edge(from: u64, to: u64) -> MapEdge {
         from: KeyframeId(from),
         to: KeyframeId(to),
         kind: if to < from { EdgeKind::Loop } else { EdgeKind::Odometry },
-        motion: relative_pose::seen_from(&a, &b),
+        motion: relative_pose::relative_motion(&a, &b),
         covariance: half * half.transpose() + Matrix4::identity() * 1e-8,
     }
 }

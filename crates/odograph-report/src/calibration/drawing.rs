@@ -40,15 +40,15 @@ impl PageDrawing {
         const LINE: f64 = 20.0;
         let lines = lines(says, self.width - 28.0);
         let head = 38.0 + LINE * lines.len() as f64;
-        let mut told = String::new();
+        let mut caption = String::new();
         for (number, line) in lines.iter().enumerate() {
             let y = coordinate(49.0 + LINE * number as f64);
-            let _ = writeln!(told, "<text x=\"14\" y=\"{y}\">{}</text>", escape(line));
+            let _ = writeln!(caption, "<text x=\"14\" y=\"{y}\">{}</text>", escape(line));
         }
         format!(
             "<svg xmlns=\"http://www.w3.org/2000/svg\" class=\"plot\" width=\"{0}\" height=\"{1}\" viewBox=\"0 0 {0} {1}\" \
              font-family=\"Roboto, sans-serif\">\n<style>{2}</style>\n<rect width=\"{0}\" height=\"{1}\" fill=\"#fff\"/>\n\
-             <text class=\"name\" x=\"14\" y=\"28\">{3}</text>{told}<g transform=\"translate(0 {head})\">\n{4}</g>\n</svg>\n",
+             <text class=\"name\" x=\"14\" y=\"28\">{3}</text>{caption}<g transform=\"translate(0 {head})\">\n{4}</g>\n</svg>\n",
             coordinate(self.width),
             coordinate(self.height + head + 8.0),
             light_style(),

@@ -10,7 +10,7 @@ use odograph::drawing::scale::label;
 use odograph::drawing::svg::escape;
 use odograph::error::Result;
 use odograph_calibration::selection::Guidance;
-use odograph_calibration::{Candidate, LensModel, Parameter, Verdict};
+use odograph_calibration::{LensModel, ModelComparison, Parameter, Verdict};
 use std::fmt::Write;
 
 /// Width of the drawings as image files, pixels.
@@ -55,7 +55,7 @@ pub struct CalibrationReport<'a> {
     /// The same over views that were not used for fitting, pixels.
     pub hold_out_rms_px: f64,
     /// The lens models that were compared.
-    pub candidates: &'a [Candidate],
+    pub candidates: &'a [ModelComparison],
     /// Whether the calibration can be used.
     pub verdict: Verdict,
     /// Why; sentences.
@@ -246,7 +246,7 @@ impl CalibrationReport<'_> {
             card(
                 "Error to expect in use",
                 &pixels_text(median),
-                &format!("At half of the image at most this; at the worst place {}.", pixels_text(worst)),
+                &format!("Median over the image; at the worst place {}.", pixels_text(worst)),
                 page,
             );
         }
@@ -350,7 +350,7 @@ impl CalibrationReport<'_> {
             "<h2>Lens models that were tried</h2>\n<p>Each was fitted to part of the views and judged by the others, which it had not \
              seen. More coefficients always fit better; what counts is how well new views are predicted.</p>\n\
              <div class=\"box scroll\"><table class=\"figures\"><tr><th>Model</th><th class=\"number\">held-out views</th>\
-             <th class=\"number\">fitted views</th><th class=\"number\">expected error</th></tr>\n",
+             <th class=\"number\">fitted views</th><th class=\"number\">expected error, RMS</th></tr>\n",
         );
         for candidate in self.candidates {
             let chosen = candidate.model == self.model;
@@ -390,9 +390,9 @@ impl CalibrationReport<'_> {
         }
         if !self.found.reasons.is_empty() && self.found.pictures_without.is_empty() {
             page.push_str("<p>Frames without the board: ");
-            let told: Vec<String> =
+            let lines: Vec<String> =
                 self.found.reasons.iter().map(|(why, count)| format!("{count} × {}", escape(why))).collect();
-            let _ = writeln!(page, "{}.</p>", told.join(", "));
+            let _ = writeln!(page, "{}.</p>", lines.join(", "));
         }
     }
 }

@@ -1,8 +1,8 @@
 use super::*;
 use odograph::camera::{Camera, Distortion};
 use odograph::geometry::Pixel;
-use odograph_calibration::selection::{Coverage, Direction, Guidance, Hint, Region};
-use odograph_calibration::{Candidate, LensModel, Parameter, Verdict};
+use odograph_calibration::selection::{Direction, Guidance, Hint, Region, ViewCoverage};
+use odograph_calibration::{LensModel, ModelComparison, Parameter, Verdict};
 
 fn camera() -> Camera {
     let distortion = Distortion::from_opencv(&[-0.28, 0.07, 0.0002, -0.0003]).unwrap();
@@ -54,8 +54,12 @@ fn with_report<T>(verdict: Verdict, use_it: impl FnOnce(&CalibrationReport<'_>) 
         parameter("p1", 0.00122, 0.00014),
         parameter("p2", -0.00014, 0.00016),
     ];
-    let candidate =
-        |model, hold_out_rms_px, rms_px| Candidate { model, hold_out_rms_px, rms_px, expected_error_px: 0.1 };
+    let candidate = |model, hold_out_rms_px, rms_px| ModelComparison {
+        model,
+        hold_out_rms_px,
+        rms_px,
+        expected_error_px: 0.1,
+    };
     let candidates = [
         candidate(LensModel::Pinhole, 2.31, 2.2),
         candidate(LensModel::BrownConrady4, 0.217, 0.196),
@@ -63,14 +67,14 @@ fn with_report<T>(verdict: Verdict, use_it: impl FnOnce(&CalibrationReport<'_>) 
         candidate(LensModel::DoubleSphere, f64::INFINITY, f64::NAN),
     ];
     let views = views(13);
-    let mut points = vec![0; Coverage::CELLS];
+    let mut points = vec![0; ViewCoverage::CELLS];
     for residual in views.iter().flat_map(|view| &view.residuals) {
         let cell = (residual.seen.y / 80.0) as usize * 9 + (residual.seen.x / 71.2) as usize;
         points[cell] += 1;
     }
     let guidance = Guidance {
         views: 13,
-        coverage: Coverage { points },
+        coverage: ViewCoverage { points },
         missing: vec![Hint::Tilt(Direction::Sideways), Hint::GoTo(Region { column: 2, row: 2 })],
     };
     let expected_error = ExpectedError::new((640, 480), |pixel| {
@@ -157,7 +161,7 @@ fn drawings_tolerate_non_finite_numbers() {
     ];
     let nothing = ExpectedError::new((64, 48), |_| Some(f64::NAN));
     assert_eq!(nothing.median_and_worst_px(), None);
-    let coverage = Coverage { points: vec![0; Coverage::CELLS] };
+    let coverage = ViewCoverage { points: vec![0; ViewCoverage::CELLS] };
     for drawing in [
         super::views::errors(&views, f64::NAN),
         super::views::residuals((64, 48), &views).0,

@@ -5,7 +5,7 @@ use super::lens::pixels_text;
 use odograph::drawing::scale::{label, multiples, round_step};
 use odograph::drawing::svg::{coordinate, escape, fitted};
 use odograph::geometry::Pixel;
-use odograph_calibration::selection::Coverage;
+use odograph_calibration::selection::ViewCoverage;
 use std::fmt::Write;
 
 /// A detected point and its reprojection error (detected minus projected), pixels.
@@ -48,13 +48,14 @@ fn marks(views: &[ShownView], used: bool) -> impl Iterator<Item = &ReprojectionE
 }
 
 /// All detected corners, over the grid cells of the image that contain any.
-pub fn coverage(size: (usize, usize), views: &[ShownView], coverage: &Coverage) -> PageDrawing {
+pub fn coverage(size: (usize, usize), views: &[ShownView], coverage: &ViewCoverage) -> PageDrawing {
     let frame = ImageFrame::new(size);
     let (left, right, top, bottom) = frame.sides();
-    let (width, height) = ((right - left) / Coverage::COLUMNS as f64, (bottom - top) / Coverage::ROWS as f64);
+    let (width, height) =
+        ((right - left) / ViewCoverage::COLUMNS as f64, (bottom - top) / ViewCoverage::ROWS as f64);
     let mut content = String::new();
     for (cell, &points) in coverage.points.iter().enumerate() {
-        let (column, row) = (cell % Coverage::COLUMNS, cell / Coverage::COLUMNS);
+        let (column, row) = (cell % ViewCoverage::COLUMNS, cell / ViewCoverage::COLUMNS);
         let _ = writeln!(
             content,
             "<rect class=\"{}\" x=\"{}\" y=\"{}\" width=\"{}\" height=\"{}\"/>",

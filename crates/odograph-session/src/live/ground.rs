@@ -1,6 +1,6 @@
 //! The mosaic of a live run, shown while it grows.
 
-use super::laying::{Laying, LayingSummary};
+use super::mosaic_rendering::{MosaicRendering, MosaicRenderingSummary};
 use crate::views::Posed;
 use odograph::camera::Camera;
 use odograph::error::Result;
@@ -8,7 +8,7 @@ use odograph::geometry::{GroundPose, Sim2};
 use odograph::ground_map::{KeyframeImage, KeyframeImages};
 use odograph::keyframe::KeyframeId;
 use odograph::mosaic::{Mosaic, MosaicSquare};
-use odograph_live::Ground;
+use odograph_live::TiledGround;
 use odograph_live::ground::GroundState;
 use odograph_map::MapFile;
 use std::collections::BTreeSet;
@@ -33,14 +33,14 @@ struct LiveGroundState {
 }
 
 enum Stage {
-    Growing(Box<Laying>),
+    Growing(Box<MosaicRendering>),
     /// Neither, temporarily.
     Away,
     Finished(Box<Mosaic>),
 }
 
 /// A mosaic to be rendered again.
-pub struct Relaying {
+pub struct MosaicUpdate {
     /// The file with the keyframes' images.
     pub file: PathBuf,
     pub keyframes: Vec<(KeyframeId, GroundPose)>,
@@ -54,7 +54,7 @@ const REVISIONS: u64 = 1 << 40;
 impl LiveGroundState {
     fn mosaic(&self) -> Option<&Mosaic> {
         match &self.mosaic {
-            Stage::Growing(laying) => Some(laying.mosaic()),
+            Stage::Growing(rendering) => Some(rendering.mosaic()),
             Stage::Away => None,
             Stage::Finished(mosaic) => Some(mosaic),
         }
@@ -65,9 +65,9 @@ impl LiveGround {
     /// For a run with this output folder. Without viewers (`shown` is false) nothing is rendered
     /// before the end.
     pub fn new(camera: Camera, folder: &Path, shown: bool) -> Self {
-        let laying = Laying::new(camera.clone(), folder, shown);
+        let rendering = MosaicRendering::new(camera.clone(), folder, shown);
         let state = LiveGroundState {
-            mosaic: Stage::Growing(Box::new(laying)),
+            mosaic: Stage::Growing(Box::new(rendering)),
             generation: 0,
             bare: BTreeSet::new(),
         };
@@ -84,18 +84,18 @@ impl LiveGround {
     }
 
     /// Renders a frame where it shows new ground.
-    pub fn lay(&self, posed: Posed) {
-        if let Stage::Growing(laying) = &mut self.state().mosaic {
-            laying.next(posed);
+    pub fn render(&self, posed: Posed) {
+        if let Stage::Growing(rendering) = &mut self.state().mosaic {
+            rendering.next(posed);
         }
     }
 
     /// Renders everything again from the keyframes in the map file, and subsequent frames relative
     /// to the newest of them. Until then the old mosaic is shown.
-    pub fn lay_again(&self, relaying: &Relaying) -> Result<()> {
-        let mut file = MapFile::open_read_only(&relaying.file)?;
+    pub fn render_again(&self, update: &MosaicUpdate) -> Result<()> {
+        let mut file = MapFile::open_read_only(&update.file)?;
         let mut fresh = Mosaic::new(Default::default());
-        for (id, pose) in &relaying.keyframes {
+        for (id, pose) in &update.keyframes {
             let KeyframeImage { gray, color } = file.load(*id)?;
             match &color {
                 Some(color) => fresh.add(color, &self.camera, pose),
@@ -104,25 +104,27 @@ impl LiveGround {
         }
         let there: BTreeSet<MosaicSquare> = fresh.changed_since(0).collect();
         let state = &mut *self.state();
-        let Stage::Growing(laying) = &mut state.mosaic else { return Ok(()) };
-        state.bare.extend(laying.mosaic().changed_since(0));
+        let Stage::Growing(rendering) = &mut state.mosaic else { return Ok(()) };
+        state.bare.extend(rendering.mosaic().changed_since(0));
         state.bare.retain(|square| !there.contains(square));
-        laying.go_on(fresh, relaying.correction);
+        rendering.go_on(fresh, update.correction);
         state.generation += 1;
         Ok(())
     }
 
     /// Finishes rendering; viewers see the mosaic as it is. `None` if it is finished already.
-    pub fn finish(&self) -> Option<LayingSummary> {
+    pub fn finish(&self) -> Option<MosaicRenderingSummary> {
         let mut state = self.state();
-        let Stage::Growing(laying) = std::mem::replace(&mut state.mosaic, Stage::Away) else { return None };
-        let (mosaic, kept) = laying.finished();
+        let Stage::Growing(rendering) = std::mem::replace(&mut state.mosaic, Stage::Away) else {
+            return None;
+        };
+        let (mosaic, kept) = rendering.finished();
         state.mosaic = Stage::Finished(Box::new(mosaic));
         Some(kept)
     }
 }
 
-impl Ground for LiveGround {
+impl TiledGround for LiveGround {
     fn state(&self) -> Option<GroundState> {
         let state = Self::state(self);
         let mosaic = state.mosaic()?;
@@ -174,7 +176,7 @@ mod tests {
 
     /// Gray level of the ground at x on the x axis.
     fn shade(ground: &LiveGround, x_m: f64) -> Option<u8> {
-        let metres_per_pixel = Ground::state(ground)?.metres_per_pixel;
+        let metres_per_pixel = TiledGround::state(ground)?.metres_per_pixel;
         let column = (x_m / metres_per_pixel).floor() as i64;
         let side = Mosaic::TILE_SIDE_PX as i64;
         let rgba = ground.tile_rgba(MosaicSquare { column: column.div_euclid(side), row: 0 })?;
@@ -183,17 +185,17 @@ mod tests {
     }
 
     #[test]
-    fn where_nobody_can_look_nothing_is_laid() {
+    fn without_viewers_nothing_is_rendered() {
         let folder = tempfile::tempdir().unwrap();
-        let laid = |shown| {
+        let rendered = |shown| {
             let ground = LiveGround::new(camera(), folder.path(), shown);
-            ground.lay(posed(0, 50, at(0.0)));
-            ground.lay(posed(1, 90, at(30.0)));
+            ground.render(posed(0, 50, at(0.0)));
+            ground.render(posed(1, 90, at(30.0)));
             assert!(ground.finish().unwrap().failure.is_none());
-            Ground::state(&ground).is_some()
+            TiledGround::state(&ground).is_some()
         };
-        assert!(laid(true));
-        assert!(!laid(false));
+        assert!(rendered(true));
+        assert!(!rendered(false));
     }
 
     #[test]
@@ -220,13 +222,13 @@ mod tests {
             file.add_keyframe(keyframe, &KeyframeImage { gray, color: None }, &[]).unwrap();
         }
         let ground = LiveGround::new(camera, folder.path(), true);
-        ground.lay(posed(0, 50, at(0.0)));
-        ground.lay(posed(1, 90, at(30.0)));
-        let before = Ground::state(&ground).unwrap().revision;
+        ground.render(posed(0, 50, at(0.0)));
+        ground.render(posed(1, 90, at(30.0)));
+        let before = TiledGround::state(&ground).unwrap().revision;
         assert_eq!([0.1, 15.1, 30.1].map(|x_m| shade(&ground, x_m)), [Some(50), None, Some(90)]);
         let keyframes = vec![(first.id, first.pose), (second.id, second.pose)];
         let correction = second.map_from_odometry();
-        ground.lay_again(&Relaying { file: path, keyframes, correction }).unwrap();
+        ground.render_again(&MosaicUpdate { file: path, keyframes, correction }).unwrap();
         // Viewers are told of every changed tile, including empty ones.
         let changed = ground.changed_since(before);
         let (there, bare): (Vec<_>, Vec<_>) =
@@ -234,8 +236,8 @@ mod tests {
         assert!(!there.is_empty() && !bare.is_empty(), "{there:?} {bare:?}");
         assert_eq!([0.1, 15.1, 30.1].map(|x_m| shade(&ground, x_m)), [Some(50), Some(90), None]);
         // Frames that odometry has fifteen metres too far are rendered at their corrected poses.
-        let revision = Ground::state(&ground).unwrap().revision;
-        ground.lay(posed(2, 130, at(40.0)));
+        let revision = TiledGround::state(&ground).unwrap().revision;
+        ground.render(posed(2, 130, at(40.0)));
         assert_eq!([25.1, 40.1].map(|x_m| shade(&ground, x_m)), [Some(130), None]);
         let new = ground.changed_since(revision);
         assert!(!new.is_empty() && new.iter().all(|tile| ground.tile_rgba(*tile).is_some()), "{new:?}");

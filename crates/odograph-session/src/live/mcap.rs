@@ -5,7 +5,7 @@ use odograph::pose_frame::PoseFrame;
 use odograph::trajectory::FrameEstimate;
 use odograph_live::McapFile;
 use odograph_live::capture::{Newest, Policy, Taken};
-use odograph_live::foxglove::Picture;
+use odograph_live::foxglove::TrackedImage;
 use std::path::{Path, PathBuf};
 use std::sync::{Mutex, PoisonError};
 use std::time::Duration;
@@ -29,7 +29,7 @@ struct Entry {
     frame: FrameEstimate,
     of: PoseFrame,
     latency_ms: f64,
-    picture: Option<Picture>,
+    picture: Option<TrackedImage>,
 }
 
 impl McapLog {
@@ -63,7 +63,7 @@ impl McapLog {
         frame: &FrameEstimate,
         of: &PoseFrame,
         latency_ms: f64,
-        picture: impl FnOnce() -> Picture,
+        picture: impl FnOnce() -> TrackedImage,
     ) {
         let mut next_s = self.next_picture_s.lock().unwrap_or_else(PoisonError::into_inner);
         // Frame times jitter: a frame that is nearly due is taken.
@@ -111,8 +111,8 @@ impl McapLog {
     }
 
     fn fail(&self, error: &Error) {
-        let told = format!("{error}; tracking goes on without it");
-        *self.failure.lock().unwrap_or_else(PoisonError::into_inner) = Some(told);
+        let message = format!("{error}; tracking goes on without it");
+        *self.failure.lock().unwrap_or_else(PoisonError::into_inner) = Some(message);
     }
 
     /// Warning.

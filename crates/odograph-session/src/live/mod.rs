@@ -30,7 +30,7 @@
 mod capturing;
 mod ground;
 mod latency;
-mod laying;
+mod mosaic_rendering;
 mod map_graph;
 mod mcap;
 mod pipeline;
@@ -53,7 +53,7 @@ use crate::folder::OutputFolder;
 use crate::mapping::Mapping;
 use crate::observer::Observer;
 use crate::outcome::RunOutcome;
-use crate::output::Output;
+use crate::output::RunOutput;
 use crate::plan::RunPlan;
 use crate::report::RunReporter;
 use ground::LiveGround;
@@ -162,7 +162,7 @@ pub struct LiveRun {
     ground: LiveGround,
     hub: Arc<Hub>,
     mcap: Option<PathBuf>,
-    output: Output,
+    output: RunOutput,
     reporter: Option<Arc<dyn RunReporter>>,
     /// Last, so that the folder is removed after all else is closed.
     temporary: Option<TempDir>,

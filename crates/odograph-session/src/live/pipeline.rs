@@ -2,10 +2,10 @@
 //! stages get what they can handle.
 
 use super::capturing::{FAREWELL, FRAMES_WAITING, PATIENCE, STATUS_EVERY, capture};
-use super::ground::{LiveGround, Relaying};
+use super::ground::{LiveGround, MosaicUpdate};
 use super::latency::Latencies;
-use super::laying;
 use super::mcap::McapLog;
+use super::mosaic_rendering;
 use super::recorder::Recorder;
 use super::sinks::{LiveSinks, PoseSink};
 use super::source::LiveInput;
@@ -28,7 +28,7 @@ use odograph::odometry::{KeyframeEvent, Odometry, TrackView};
 use odograph::pose_frame::PoseFrames;
 use odograph::trajectory::FrameEstimate;
 use odograph_live::capture::{Captured, Newest, Policy, Taken, Watch};
-use odograph_live::foxglove::Picture;
+use odograph_live::foxglove::TrackedImage;
 use odograph_live::{Hub, Phase, Status, TrackRecord, View};
 use odograph_video::Frame;
 use std::sync::Arc;
@@ -36,7 +36,7 @@ use std::thread;
 use std::time::{Duration, Instant};
 
 /// Length of the queue to rendering.
-const LAYING_QUEUE: usize = 4;
+const RENDERING_QUEUE: usize = 4;
 /// Longest queue to the map. No keyframe may be dropped; tracking waits for a map that is this far
 /// behind.
 const MAPPING_QUEUE: usize = 32;
@@ -59,7 +59,7 @@ pub fn follow(
 ) -> Result<RunOutcome> {
     let LiveSinks { poses, log } = sinks;
     let mut odometry = plan.odometry()?;
-    odometry.tell_keyframes();
+    odometry.record_keyframes();
     let mut following = Following {
         odometry,
         calibration,
@@ -78,10 +78,10 @@ pub fn follow(
         watch,
         queue: Arc::new(Newest::new(opened.policy, FRAMES_WAITING)),
         policy: opened.policy,
-        not_laid: 0,
+        not_rendered: 0,
         not_compared: 0,
         unmapped: None,
-        status_told: None,
+        status_sent: None,
     };
     let ended = capture(opened.source, Arc::clone(&following.queue));
     let mut mapping = mapping;
@@ -91,8 +91,9 @@ pub fn follow(
     watch.end();
     following.queue.close();
     let farewell = ended.recv_timeout(FAREWELL).unwrap_or_default();
-    following.tell_status(Phase::Saving);
-    let Some(laying::LayingSummary { views, failure: not_kept, times }) = ground.finish() else {
+    following.send_status(Phase::Saving);
+    let Some(mosaic_rendering::MosaicRenderingSummary { views, failure: not_kept, times }) = ground.finish()
+    else {
         return Err(Error::usage("a live run ends once"));
     };
     following.times.map = times;
@@ -125,7 +126,7 @@ struct Closing<'a>(&'a Beside, Option<&'a McapLog>);
 
 impl Drop for Closing<'_> {
     fn drop(&mut self) {
-        self.0.laying.close();
+        self.0.rendering.close();
         self.0.mapping.close();
         self.0.views.close();
         self.1.inspect(|log| log.close());
@@ -141,10 +142,10 @@ struct Happened {
 
 /// The queues to the other threads.
 struct Beside {
-    laying: Newest<Posed>,
+    rendering: Newest<Posed>,
     mapping: Newest<Happened>,
     views: Newest<PageImage>,
-    relaying: Newest<Relaying>,
+    updates: Newest<MosaicUpdate>,
 }
 
 /// An image for the page.
@@ -176,27 +177,27 @@ struct Following<'a, 'p> {
     watch: &'a Watch,
     queue: Arc<Newest<(Captured, Duration)>>,
     policy: Policy,
-    not_laid: u64,
+    not_rendered: u64,
     not_compared: u64,
     unmapped: Option<Error>,
-    status_told: Option<Instant>,
+    status_sent: Option<Instant>,
 }
 
 impl Following<'_, '_> {
     /// Tracks until the end; an error keeps what was measured.
     fn run(&mut self, ground: &LiveGround, mapping: &mut Mapping) -> Result<()> {
         let beside = Beside {
-            laying: Newest::new(self.policy, LAYING_QUEUE),
+            rendering: Newest::new(self.policy, RENDERING_QUEUE),
             mapping: Newest::new(Policy::Wait, MAPPING_QUEUE),
             views: Newest::new(Policy::NewestWins, 1),
-            relaying: Newest::new(Policy::NewestWins, 1),
+            updates: Newest::new(Policy::NewestWins, 1),
         };
         let (beside, hub, log, policy) = (&beside, self.hub, self.log, self.policy);
         let outcome = thread::scope(|scope| {
             if let Some(log) = log {
                 scope.spawn(|| log.write_all());
             }
-            scope.spawn(move || each(&beside.laying, |posed| ground.lay(posed)));
+            scope.spawn(move || each(&beside.rendering, |posed| ground.render(posed)));
             scope.spawn(move || {
                 each(&beside.views, |sight: PageImage| {
                     if let Some(view) = View::new(sight.record, &sight.gray, &sight.tracks) {
@@ -204,10 +205,10 @@ impl Following<'_, '_> {
                     }
                 });
             });
-            scope.spawn(move || straight::relay(&beside.relaying, ground));
+            scope.spawn(move || straight::render_again(&beside.updates, ground));
             let mapper = scope.spawn(move || {
                 let (mut failure, mut not_compared) = (None, 0);
-                let mut straightening = MapFrameUpdates::new(hub, &beside.relaying);
+                let mut straightening = MapFrameUpdates::new(hub, &beside.updates);
                 let mut hurried = false;
                 each(&beside.mapping, |happened: Happened| {
                     let waiting = beside.mapping.waiting();
@@ -224,7 +225,7 @@ impl Following<'_, '_> {
                         }
                     }
                 });
-                beside.relaying.close();
+                beside.updates.close();
                 (failure, not_compared)
             });
             let outcome = {
@@ -236,7 +237,7 @@ impl Following<'_, '_> {
                 ended.unwrap_or_else(|_| (Some(Error::output("the map ended unexpectedly")), 0));
             outcome
         });
-        self.not_laid = beside.laying.counts().1;
+        self.not_rendered = beside.rendering.counts().1;
         outcome
     }
 
@@ -247,9 +248,9 @@ impl Following<'_, '_> {
                 Taken::Nothing => {}
                 Taken::End => break,
             }
-            if self.status_told.is_none_or(|told| told.elapsed() >= STATUS_EVERY) {
+            if self.status_sent.is_none_or(|sent| sent.elapsed() >= STATUS_EVERY) {
                 self.recorder.mark(self.hub.marks_from(self.recorder.marks()));
-                self.tell_status(if self.watch.waiting().is_some() {
+                self.send_status(if self.watch.waiting().is_some() {
                     Phase::Waiting
                 } else {
                     Phase::Running
@@ -284,7 +285,7 @@ impl Following<'_, '_> {
         self.recorder.record(&seen);
         if let Some(log) = self.log {
             let tracks = || self.odometry.tracks().to_vec();
-            log.give(&seen, self.of.at(frame.number), latency_ms, || Picture {
+            log.give(&seen, self.of.at(frame.number), latency_ms, || TrackedImage {
                 gray: frame.gray.clone(),
                 tracks: tracks(),
             });
@@ -311,7 +312,7 @@ impl Following<'_, '_> {
             beside.mapping.give(Happened { events, frame: is_keyframe.then(|| frame.clone()) });
         }
         if let Some(pose) = pose {
-            beside.laying.give(Posed { frame, pose, segment, is_keyframe });
+            beside.rendering.give(Posed { frame, pose, segment, is_keyframe });
         }
         Ok(())
     }
@@ -326,8 +327,8 @@ impl Following<'_, '_> {
         }
     }
 
-    fn tell_status(&mut self, phase: Phase) {
-        self.status_told = Some(Instant::now());
+    fn send_status(&mut self, phase: Phase) {
+        self.status_sent = Some(Instant::now());
         let (fps, latency_median_ms, latency_p99_ms) = self.latencies.recent();
         let (captured, dropped) = self.queue.counts();
         self.hub.set_status(Status {
@@ -354,7 +355,7 @@ impl Following<'_, '_> {
         LiveStatistics {
             frames_captured,
             frames_dropped,
-            frames_not_laid: self.not_laid,
+            frames_not_laid: self.not_rendered,
             keyframes_not_compared: self.not_compared,
             reconnects: self.watch.reconnects(),
             latency_median_ms,

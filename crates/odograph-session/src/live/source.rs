@@ -98,7 +98,8 @@ fn device(
         frames_per_second: options.fps,
     };
     let hold_exposure = !options.auto_exposure;
-    let camera = odograph_live::capture::camera::Camera::open(path, &wish, hold_exposure, watch.clone())?;
+    let camera =
+        odograph_live::capture::camera::CameraDevice::open(path, &wish, hold_exposure, watch.clone())?;
     Ok(Box::new(camera))
 }
 

@@ -3,7 +3,7 @@
 //! Odometry's own path never jumps: what is printed, sent and recorded stays as measured. The page
 //! shows the map frame instead, in which a loop closure moves earlier poses.
 
-use super::ground::{LiveGround, Relaying};
+use super::ground::{LiveGround, MosaicUpdate};
 use super::map_graph::map_graph;
 use crate::mapping::Mapping;
 use odograph::geometry::Sim2;
@@ -23,7 +23,7 @@ fn numbers(correction: &Sim2) -> [f64; 4] {
 }
 
 /// Shortest interval between updates, plus the same per thousand keyframes.
-const TOLD_EVERY: Duration = Duration::from_secs(1);
+const SENT_EVERY: Duration = Duration::from_secs(1);
 /// Largest share of a core for rendering again: each rendering is followed by a pause of nine times
 /// its duration.
 const REST: u32 = 9;
@@ -31,33 +31,33 @@ const REST: u32 = 9;
 /// Watches the map for loops.
 pub struct MapFrameUpdates<'a> {
     hub: &'a Hub,
-    relaying: &'a Newest<Relaying>,
+    updates: &'a Newest<MosaicUpdate>,
     loops: usize,
-    told: Option<Instant>,
+    sent: Option<Instant>,
 }
 
 impl<'a> MapFrameUpdates<'a> {
-    pub fn new(hub: &'a Hub, relaying: &'a Newest<Relaying>) -> Self {
-        Self { hub, relaying, loops: 0, told: None }
+    pub fn new(hub: &'a Hub, updates: &'a Newest<MosaicUpdate>) -> Self {
+        Self { hub, updates, loops: 0, sent: None }
     }
 
     /// Publishes the corrected poses if there was a loop closure since the last call.
     pub fn look(&mut self, mapping: &Mapping) {
         let mapper = mapping.mapper();
         let map = mapper.map();
-        let interval = TOLD_EVERY * (1 + map.keyframes.len() as u32 / 1000);
-        if !mapper.is_straightened() || self.told.is_some_and(|told| told.elapsed() < interval) {
+        let interval = SENT_EVERY * (1 + map.keyframes.len() as u32 / 1000);
+        if !mapper.is_straightened() || self.sent.is_some_and(|sent| sent.elapsed() < interval) {
             return;
         }
         let loops = map.edges.iter().filter(|edge| edge.kind == EdgeKind::Loop).count();
         if loops == self.loops {
             return;
         }
-        (self.loops, self.told) = (loops, Some(Instant::now()));
-        self.hub.tell("map", &told(map, mapper.session()));
+        (self.loops, self.sent) = (loops, Some(Instant::now()));
+        self.hub.notify("map", &map_message(map, mapper.session()));
         let own = map.keyframes.iter().filter(|keyframe| keyframe.session == mapper.session());
         let Some(newest) = own.clone().next_back() else { return };
-        self.relaying.give(Relaying {
+        self.updates.give(MosaicUpdate {
             file: mapping.path().to_owned(),
             keyframes: own.map(|keyframe| (keyframe.id, keyframe.pose)).collect(),
             correction: newest.map_from_odometry(),
@@ -67,7 +67,7 @@ impl<'a> MapFrameUpdates<'a> {
 
 /// Keyframes and loop closures, and the correction from the odometry frame to the map frame at each
 /// keyframe of a session.
-fn told(map: &GroundMap, session: u32) -> Value {
+fn map_message(map: &GroundMap, session: u32) -> Value {
     let mut value = map_graph(map);
     let own = map.keyframes.iter().filter(|keyframe| keyframe.session == session);
     value["corrections"] =
@@ -76,20 +76,20 @@ fn told(map: &GroundMap, session: u32) -> Value {
 }
 
 /// Renders the mosaic again on request, with pauses, until the requests end.
-pub fn relay(queue: &Newest<Relaying>, ground: &LiveGround) {
+pub fn render_again(queue: &Newest<MosaicUpdate>, ground: &LiveGround) {
     let (mut waiting, mut rest_until) = (None, Instant::now());
     loop {
         match queue.take(Duration::from_millis(200)) {
-            Taken::Item(relaying) => waiting = Some(relaying),
+            Taken::Item(update) => waiting = Some(update),
             Taken::Nothing => {}
             Taken::End => return,
         }
         if Instant::now() >= rest_until
-            && let Some(relaying) = waiting.take()
+            && let Some(update) = waiting.take()
         {
             let begun = Instant::now();
             // If the file cannot be read the mosaic stays as it is.
-            let _ = ground.lay_again(&relaying);
+            let _ = ground.render_again(&update);
             rest_until = Instant::now() + REST * begun.elapsed();
         }
     }

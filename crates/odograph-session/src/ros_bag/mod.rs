@@ -36,7 +36,7 @@ const LATCHED: &str = "- history: 1\n  depth: 1\n  reliability: 1\n  durability:
                        avoid_ros_namespace_conventions: false\n";
 
 /// A bag while it is written.
-pub struct RosBag<'a, W: Write> {
+pub struct RosBagWriter<'a, W: Write> {
     path: &'a Path,
     writer: Writer<NoSeek<W>>,
     of: PoseFrames,
@@ -47,7 +47,7 @@ pub struct RosBag<'a, W: Write> {
     sequence: u32,
 }
 
-impl<'a, W: Write> RosBag<'a, W> {
+impl<'a, W: Write> RosBagWriter<'a, W> {
     /// A bag of the path of a frame; `path` is named in errors.
     pub fn new(path: &'a Path, output: W, of: PoseFrames) -> Result<Self> {
         let options = WriteOptions::new()
@@ -85,8 +85,8 @@ impl<'a, W: Write> RosBag<'a, W> {
             self.put(self.static_transforms, time_ns, &on_robot)?;
         }
         self.sequence = self.sequence.saturating_add(1);
-        let told = of.frame(camera);
-        if let Some((known, seen)) = told.estimate.as_ref().zip(camera.estimate.as_ref()) {
+        let placed_frame = of.frame(camera);
+        if let Some((known, seen)) = placed_frame.estimate.as_ref().zip(camera.estimate.as_ref()) {
             let placed = of.world_from_frame(&known.pose);
             let odom_from_camera = seen.pose.world_from_camera();
             let map_from_odom = in_map.map_or_else(Isometry3::identity, |in_map| {

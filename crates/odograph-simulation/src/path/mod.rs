@@ -181,7 +181,7 @@ impl Path {
             PathKind::RandomWalk { length_m, seed } => {
                 positive("length", length_m, "metres")?;
                 // About one change of direction in two metres, by up to 150° to either side.
-                let bend = Bend::Wandering { wobble: Wobble::new(seed, 0.25), amplitude_rad: 2.6 };
+                let bend = Bend::RandomWalk { wobble: Wobble::new(seed, 0.25), amplitude_rad: 2.6 };
                 path.add(curve(bend, length_m), path.drive(length_m, at_rest, at_rest));
             }
             PathKind::RandomWithin { length_m, radius_m, seed } => {

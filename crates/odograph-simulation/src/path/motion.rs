@@ -35,7 +35,7 @@ pub(super) enum Bend {
     /// A single turn; curvature rises and falls over the whole length.
     Once { length_m: f64, turn_rad: f64 },
     /// Smooth random heading.
-    Wandering { wobble: Wobble, amplitude_rad: f64 },
+    RandomWalk { wobble: Wobble, amplitude_rad: f64 },
     /// Heading and curvature at equal steps of arc length; curvature is linear between them.
     Steered { step_m: f64, nodes: Vec<(f64, f64)> },
 }
@@ -195,7 +195,7 @@ impl Bend {
                 // Quintic: curvature and its derivative are zero at both ends.
                 turn_rad * t * t * t * (t * (t * 6.0 - 15.0) + 10.0)
             }
-            Self::Wandering { wobble, amplitude_rad } => {
+            Self::RandomWalk { wobble, amplitude_rad } => {
                 amplitude_rad * (wobble.at(distance_m) - wobble.at(0.0))
             }
             Self::Steered { step_m, nodes } => {

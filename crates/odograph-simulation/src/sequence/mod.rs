@@ -6,7 +6,7 @@ use super::noise::{GaussianStream, mix, uniform};
 use super::path::Path;
 use super::renderer::{Renderer, Scene};
 use super::sway::Swaying;
-use super::terrain::Surface;
+use super::terrain::TerrainSurface;
 use super::texture::{Texture, luminance};
 use odograph::camera::{Camera, Rig};
 use odograph::error::{Error, Result};
@@ -45,7 +45,7 @@ pub struct Simulation {
     /// With focus breathing: renderers at the shortest and at the longest focal length.
     refocused: Option<[Renderer; 2]>,
     ground: Ground,
-    surface: Option<Surface>,
+    surface: Option<TerrainSurface>,
     sway: Option<Swaying>,
     disturbance: Disturbance,
     exposure: Exposure,
@@ -110,7 +110,7 @@ impl Simulation {
             renderer,
             refocused,
             ground,
-            surface: Surface::new(&config.effects.terrain, config.seed),
+            surface: TerrainSurface::new(&config.effects.terrain, config.seed),
             sway: config.effects.sway.map(|sway| Swaying::new(sway, config.seed)),
             disturbance: Disturbance::new(&config.effects, config.seed),
             exposure: Exposure::new(

@@ -187,8 +187,8 @@ fn every_frame_is_reproducible_in_any_order() {
 fn the_truth_starts_at_the_origin_with_any_vibration() {
     let effects = Effects {
         vibration: Some(Vibration { shift_m: 0.01, turn_rad: 0.05, frequency_hz: 8.0 }),
-        height_change: Some(Wander { amplitude: 0.1, period_s: 3.0 }),
-        tilt_change: Some(Wander { amplitude: 0.05, period_s: 3.0 }),
+        height_change: Some(SlowVariation { amplitude: 0.1, period_s: 3.0 }),
+        tilt_change: Some(SlowVariation { amplitude: 0.05, period_s: 3.0 }),
         ..Effects::default()
     };
     let simulation = standing(effects);

@@ -120,7 +120,7 @@ const MOST_STEPS: f64 = 64.0;
 
 /// A terrain with its random functions; does not exist for flat ground.
 #[derive(Debug)]
-pub(super) struct Surface {
+pub(super) struct TerrainSurface {
     waves: Vec<Wave>,
     kerb: Option<Kerb>,
     ramp: Option<Ramp>,
@@ -140,7 +140,7 @@ struct Wave {
     per_m: [f64; 2],
 }
 
-impl Surface {
+impl TerrainSurface {
     /// `None` where the terrain is flat.
     pub(super) fn new(terrain: &Terrain, seed: u64) -> Option<Self> {
         if terrain.is_flat() {

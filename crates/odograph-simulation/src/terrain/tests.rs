@@ -19,7 +19,7 @@ fn rough() -> Terrain {
 #[test]
 fn rays_stop_at_the_first_intersection_with_the_surface() {
     for terrain in [relief(0.005, 0.03), rough(), Terrain { relief: None, ..rough() }] {
-        let surface = Surface::new(&terrain, 5).unwrap();
+        let surface = TerrainSurface::new(&terrain, 5).unwrap();
         for ray in 0..150 {
             let draw = |index: u64| 2.0 * uniform(ray, index) - 1.0;
             let (x, y) = (3.0 * draw(0), 3.0 * draw(1));
@@ -43,7 +43,7 @@ fn rays_stop_at_the_first_intersection_with_the_surface() {
 
 #[test]
 fn bounds_contain_the_surface_over_their_area() {
-    let surface = Surface::new(&rough(), 5).unwrap();
+    let surface = TerrainSurface::new(&rough(), 5).unwrap();
     for area in 0..200 {
         let draw = |index: u64| uniform(area, index);
         let (x, y, size) = (4.0 * draw(0) - 2.0, 4.0 * draw(1) - 2.0, 0.5 * draw(2));
@@ -64,14 +64,14 @@ fn the_level_of_the_ground_is_zero_at_the_origin() {
             ramp: Some(Ramp { slope: -0.2, at_m }),
             ..rough()
         };
-        assert_eq!(Surface::new(&terrain, 1).unwrap().level_m(0.0, 0.0), 0.0);
+        assert_eq!(TerrainSurface::new(&terrain, 1).unwrap().level_m(0.0, 0.0), 0.0);
     }
-    assert!(Surface::new(&Terrain { ride: true, ..Terrain::default() }, 1).is_none());
+    assert!(TerrainSurface::new(&Terrain { ride: true, ..Terrain::default() }, 1).is_none());
 }
 
 #[test]
 fn relief_has_the_configured_amplitude_and_zero_mean() {
-    let surface = Surface::new(&relief(0.01, 0.03), 2).unwrap();
+    let surface = TerrainSurface::new(&relief(0.01, 0.03), 2).unwrap();
     let heights: Vec<f64> = (0..90_000)
         .map(|i| surface.height_m(f64::from(i % 300) * 0.0061 - 0.9, f64::from(i / 300) * 0.0061))
         .collect();
@@ -83,7 +83,7 @@ fn relief_has_the_configured_amplitude_and_zero_mean() {
 #[test]
 fn a_vehicle_tilts_with_its_ramp_at_every_heading() {
     let terrain = Terrain { ramp: Some(Ramp { slope: 0.1, at_m: 1.0 }), ride: true, ..Terrain::default() };
-    let surface = Surface::new(&terrain, 1).unwrap();
+    let surface = TerrainSurface::new(&terrain, 1).unwrap();
     for heading_rad in [0.0, 0.7, 2.0, 9.0] {
         let carrier = GroundPose { x_m: 3.0, y_m: 1.0, heading_rad, ..GroundPose::level(0.5) };
         let pose = surface.ridden(&carrier, carrier);

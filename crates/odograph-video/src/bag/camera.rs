@@ -4,21 +4,9 @@ use super::messages::camera_info::CameraInfo;
 use super::messages::{Role, frame_id};
 use super::recording::{MessageReader, Topic};
 use super::topics;
-use odograph::camera::Camera;
+use crate::recorded_camera::RecordedCamera;
 use odograph::error::{Error, Result};
 use std::path::Path;
-
-/// A camera that a recording describes.
-#[derive(Debug, Clone, PartialEq)]
-pub struct RecordedCamera {
-    /// The camera of the images.
-    pub camera: Camera,
-    /// Topic that describes it.
-    pub topic: String,
-    /// Whether the images are rectified: the camera is that of the projection matrix P, and has no
-    /// distortion.
-    pub rectified: bool,
-}
 
 /// The camera of the images that a run follows in a robot recording: those of `topic`, or of the
 /// only topic with images. `None` if the recording does not describe it.
@@ -31,11 +19,11 @@ pub struct RecordedCamera {
 /// camera is not calibrated or of an unknown lens model.
 pub fn recorded_camera(path: impl AsRef<Path>, topic: Option<&str>) -> Result<Option<RecordedCamera>> {
     let path = path.as_ref();
-    let told = |error: Error| error.at(path.display());
+    let at_path = |error: Error| error.at(path.display());
     let not_one = || Error::input("this is not a robot recording");
-    let mut recording = super::open(path).and_then(|opened| opened.ok_or_else(not_one)).map_err(told)?;
-    let images = topics::with_frames(recording.as_mut(), topic).map_err(told)?;
-    camera_of(recording.as_mut(), &images).map_err(told)
+    let mut recording = super::open(path).and_then(|opened| opened.ok_or_else(not_one)).map_err(at_path)?;
+    let images = topics::with_frames(recording.as_mut(), topic).map_err(at_path)?;
+    camera_of(recording.as_mut(), &images).map_err(at_path)
 }
 
 /// The camera of a topic with images, and rewinds the recording.

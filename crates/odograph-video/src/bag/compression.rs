@@ -90,7 +90,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn what_is_not_compressed_data_is_told() {
+    fn data_that_is_not_compressed_is_an_error() {
         let mut out = Vec::new();
         for compression in [Compression::Zstd, Compression::Lz4, Compression::Bzip2] {
             assert!(!compression.decompress(b"no compressed data", 100, &mut out));

@@ -238,7 +238,7 @@ impl MessageReader for Database {
 
     fn take_warnings(&mut self) -> Vec<String> {
         let damage = self.damage.take();
-        let told = |why| format!("the database is damaged or cut off ({why}); it is read up to there");
-        damage.map(told).into_iter().collect()
+        let warning = |why| format!("the database is damaged or cut off ({why}); it is read up to there");
+        damage.map(warning).into_iter().collect()
     }
 }

@@ -5,7 +5,7 @@ use super::compression::{Compression, ZSTD_MAGIC, unpack_zstd};
 use super::database::{self, Database};
 use super::mcap::{self, Mcap};
 use super::recording::{Message, MessageReader, Topic, Topics};
-use super::rosbag1::{self, RosBag};
+use super::rosbag1::{self, RosBag1};
 use crate::limits;
 use odograph::error::{Error, Result};
 use std::fs::File;
@@ -19,7 +19,7 @@ const MOST_UNPACKED: u64 = 64 << 30;
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub(crate) enum BagFormat {
     Mcap,
-    RosBag,
+    RosBag1,
     /// An SQLite database, which may be a recording.
     Database,
     /// A compressed file, which may be a recording.
@@ -31,7 +31,7 @@ impl BagFormat {
     pub fn of(head: &[u8]) -> Option<Self> {
         [
             (mcap::MAGIC, Self::Mcap),
-            (rosbag1::MAGIC, Self::RosBag),
+            (rosbag1::MAGIC, Self::RosBag1),
             (database::MAGIC, Self::Database),
             (&ZSTD_MAGIC, Self::Zstd),
         ]
@@ -74,7 +74,7 @@ fn open_part(path: &Path) -> Result<OpenedPart> {
     let place = unpacked.as_deref().unwrap_or(path);
     let recording = match format {
         Some(BagFormat::Mcap) => Box::new(Mcap::open(open_file(place)?)?) as Box<dyn MessageReader>,
-        Some(BagFormat::RosBag) => Box::new(RosBag::open(open_file(place)?)?),
+        Some(BagFormat::RosBag1) => Box::new(RosBag1::open(open_file(place)?)?),
         Some(BagFormat::Database) => Box::new(Database::open(place)?),
         _ if !whole => return Err(Error::input("the compressed file is damaged or cut off")),
         _ => return Err(Error::input("this is not an MCAP file, a ROS bag or a rosbag2 database")),
@@ -106,7 +106,7 @@ pub(super) fn is_packed_recording(path: &Path) -> bool {
     };
     matches!(
         head().and_then(|head| BagFormat::of(&head)),
-        Some(BagFormat::Mcap | BagFormat::RosBag | BagFormat::Database)
+        Some(BagFormat::Mcap | BagFormat::RosBag1 | BagFormat::Database)
     )
 }
 

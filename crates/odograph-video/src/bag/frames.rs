@@ -5,8 +5,9 @@ use super::recording::{MessageReader, Topic};
 use super::topics;
 use crate::container::{Packet, PacketReader, Times, VideoTrack};
 use crate::frame::Picture;
+use crate::opened::{Frames, Opened};
 use crate::rotation::Orientation;
-use crate::source::{Frames, Opened, SourceOptions};
+use crate::source_options::SourceOptions;
 use crate::video;
 use odograph::error::{Error, Result};
 

@@ -107,13 +107,13 @@ impl Mcap {
         body.take(8 + 2 + 4 + 4 + 4 + 4)?;
         let span_ns = (body.u64()?, body.u64()?);
         let mut counts = MessageCursor::packed(body.bytes()?);
-        let mut told = false;
+        let mut found = false;
         while let (Some(channel), Some(count)) = (counts.u16(), counts.u64()) {
             let topic = *self.channels.get(&channel)?;
             self.topics.all.get_mut(topic)?.add(count, span_ns);
-            told = true;
+            found = true;
         }
-        told.then_some(())
+        found.then_some(())
     }
 
     /// Takes note of a schema or a channel.

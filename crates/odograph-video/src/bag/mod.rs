@@ -22,7 +22,7 @@ mod rosbag1;
 mod sensors;
 mod topics;
 
-pub use camera::{RecordedCamera, recorded_camera};
+pub use camera::recorded_camera;
 pub(crate) use contents::contents;
 use files::{BagFormat, Files};
 pub(crate) use frames::open_frames;

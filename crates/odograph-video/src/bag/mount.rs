@@ -43,11 +43,11 @@ impl RecordedMount {
 /// If the path is not a robot recording or cannot be read, or the topic is not one with images.
 pub fn recorded_mount(path: impl AsRef<Path>, topic: Option<&str>) -> Result<Option<RecordedMount>> {
     let path = path.as_ref();
-    let told = |error: Error| error.at(path.display());
+    let at_path = |error: Error| error.at(path.display());
     let not_one = || Error::input("this is not a robot recording");
-    let mut recording = super::open(path).and_then(|opened| opened.ok_or_else(not_one)).map_err(told)?;
-    let images = topics::with_frames(recording.as_mut(), topic).map_err(told)?;
-    mount_of(recording.as_mut(), &images).map_err(told)
+    let mut recording = super::open(path).and_then(|opened| opened.ok_or_else(not_one)).map_err(at_path)?;
+    let images = topics::with_frames(recording.as_mut(), topic).map_err(at_path)?;
+    mount_of(recording.as_mut(), &images).map_err(at_path)
 }
 
 /// Transforms that are published once come with the first messages: more of them are not looked at.

@@ -29,7 +29,7 @@ mod op {
 }
 
 /// Reads a ROS 1 bag.
-pub(super) struct RosBag {
+pub(super) struct RosBag1 {
     file: RecordFile,
     topics: Topics,
     /// Topics by the number of their connection.
@@ -85,7 +85,7 @@ impl<'a> Fields<'a> {
     }
 }
 
-impl RosBag {
+impl RosBag1 {
     pub fn open(file: File) -> Result<Self> {
         let mut bag = Self {
             file: RecordFile::new(file)?,
@@ -269,7 +269,7 @@ impl RosBag {
     }
 }
 
-impl MessageReader for RosBag {
+impl MessageReader for RosBag1 {
     fn format(&self) -> String {
         "a ROS 1 bag".to_owned()
     }

@@ -29,11 +29,11 @@ pub(super) fn with_frames(recording: &mut dyn MessageReader, name: Option<&str>)
             })
             .collect();
         return Err(Error::usage(format!(
-            "there are no images on the topic {name}{}; there are{}",
+            "there are no images on the topic {name}{}; {}",
             others.concat(),
             match all.len() {
-                0 => " none in it".to_owned(),
-                count => format!(" {count} topics with images:{}", list(recording, &all)?),
+                0 => "no topic has images".to_owned(),
+                count => format!("there are {count} topics with images:{}", list(recording, &all)?),
             }
         )));
     }

@@ -5,12 +5,12 @@
 //! with the frames of ffmpeg. Neither supports 4:4:4 and lossless coding.
 
 use super::h264_parameters::SequenceParameters;
-use super::nal::NalFraming;
 use super::{Decoded, Decoder, MakeDecoder, Refusal, Stamp};
 use crate::container::{Times, VideoTrack};
 use crate::frame::{Chroma, Color, ColorEncoding, Picture};
 use crate::guard::guarded;
 use crate::limits;
+use crate::nal::NalFraming;
 use odograph::error::{Error, Result};
 use odograph::image::GrayImage;
 use rust_h264::nal::{NalUnit, NalUnitType};
@@ -349,7 +349,7 @@ fn unit_of(unit: &[u8]) -> NalUnit<'_> {
     NalUnit {
         nal_ref_idc: unit[0] >> 5 & 3,
         nal_unit_type: NalUnitType::from(unit[0] & 31),
-        rbsp: super::nal::unescape(&unit[1..]).into(),
+        rbsp: crate::nal::unescape(&unit[1..]).into(),
     }
 }
 

@@ -1,13 +1,13 @@
 //! H.265 (HEVC) with `rust_h265`: 8 to 12 bits, 4:2:0 and 4:4:4.
 
 use super::h265_parameters::HevcSequenceParameters;
-use super::nal::NalFraming;
 use super::{Decoded, Decoder, MakeDecoder, Refusal, Stamp};
 use crate::container::bytes::Bytes;
 use crate::container::{Times, VideoTrack};
 use crate::frame::{Chroma, Color, ColorEncoding, Picture};
 use crate::guard::guarded;
 use crate::limits;
+use crate::nal::NalFraming;
 use odograph::error::{Error, Result};
 use odograph::image::GrayImage;
 use rust_h265::{DecodeError, PixelData};

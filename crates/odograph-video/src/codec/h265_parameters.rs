@@ -2,8 +2,8 @@
 //! is used.
 
 use super::bits::Bits;
-use super::nal::unescape;
 use crate::frame::{ColorEncoding, Matrix};
+use crate::nal::unescape;
 
 #[derive(Debug, Clone, PartialEq)]
 pub(crate) struct HevcSequenceParameters {

@@ -6,7 +6,6 @@ mod h264_parameters;
 mod h265;
 mod h265_parameters;
 pub(crate) mod jpeg;
-pub(crate) mod nal;
 mod vp9;
 
 pub(crate) use h264::{narrow, narrow_full_scale, narrow_little_endian};

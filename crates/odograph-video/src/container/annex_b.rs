@@ -2,8 +2,8 @@
 //! standards).
 
 use super::{Codec, Packet, PacketReader, Times, VideoTrack};
-use crate::codec::nal::find_start_code;
 use crate::limits;
+use crate::nal::find_start_code;
 use crate::rotation::Orientation;
 use odograph::error::{Error, Result};
 use std::fs::File;

@@ -5,6 +5,7 @@ pub(crate) mod avi;
 pub(crate) mod bytes;
 pub(crate) mod matroska;
 pub(crate) mod mp4;
+mod mp4_boxes;
 mod mp4_description;
 mod mp4_fragments;
 mod mp4_tables;

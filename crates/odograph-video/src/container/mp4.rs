@@ -4,8 +4,9 @@
 //! Only the index is held in memory; samples are read from the file by their offsets.
 
 use super::bytes::read_up_to;
+use super::mp4_boxes::{Sample, box_header};
 use super::mp4_fragments::Fragments;
-use super::mp4_tables::{self, Edit, Sample};
+use super::mp4_tables::{self, Edit};
 use super::{Packet, PacketReader, VideoTrack};
 use crate::limits;
 use odograph::error::{Error, Result};
@@ -150,8 +151,7 @@ fn read_index(file: &mut BufReader<File>, length: u64, warnings: &mut Vec<String
         let mut header = [0u8; 16];
         let available = (length - at).min(16) as usize;
         file.read_exact(&mut header[..available]).map_err(unreadable)?;
-        let Some((kind, header_length, size)) = mp4_tables::box_header(&header[..available], length - at)
-        else {
+        let Some((kind, header_length, size)) = box_header(&header[..available], length - at) else {
             warnings.push(format!("what follows byte {at} is not MP4 and was ignored"));
             break;
         };

@@ -1,7 +1,7 @@
 //! Sample description of an MP4 video track (ISO/IEC 14496-12, 8.5.2 and 12.1).
 
 use super::bytes::Bytes;
-use super::mp4_tables::{Boxes, child};
+use super::mp4_boxes::{Boxes, child};
 use super::{Codec, Times, VideoTrack};
 use crate::frame::{ColorEncoding, Matrix};
 use crate::rotation::Orientation;

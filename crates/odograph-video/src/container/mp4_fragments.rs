@@ -1,7 +1,7 @@
 //! Fragmented MP4 (ISO/IEC 14496-12, 8.8).
 
 use super::bytes::Bytes;
-use super::mp4_tables::{Boxes, Sample, child, too_many};
+use super::mp4_boxes::{Boxes, Sample, child, too_many};
 use crate::limits::MAX_SAMPLES;
 use odograph::error::Result;
 

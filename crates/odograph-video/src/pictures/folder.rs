@@ -2,7 +2,8 @@
 
 use super::{decode, exif_data};
 use crate::frame::Picture;
-use crate::source::{Frames, Opened, SourceOptions};
+use crate::opened::{Frames, Opened};
+use crate::source_options::SourceOptions;
 use crate::timestamps::{Timestamps, time_from_name};
 use odograph::error::{Error, Result};
 use std::cmp::Ordering;

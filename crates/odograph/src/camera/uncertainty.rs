@@ -65,7 +65,7 @@ impl CameraUncertainty {
     /// Propagates the covariance to `outcome`, a function of the camera: first order, by central
     /// differences of one standard deviation. `None` if the outcome is undefined for a varied
     /// camera.
-    pub fn carried<const N: usize>(
+    pub fn propagated<const N: usize>(
         &self,
         camera: &Camera,
         outcome: impl Fn(&Camera) -> Option<[f64; N]>,
@@ -84,8 +84,8 @@ impl CameraUncertainty {
                 derivative[(row, column)] = (more[row] - less[row]) / (2.0 * step);
             }
         }
-        let carried = &derivative * &self.covariance * derivative.transpose();
-        Some(nalgebra::SMatrix::from_fn(|i, j| carried[(i, j)]))
+        let covariance = &derivative * &self.covariance * derivative.transpose();
+        Some(nalgebra::SMatrix::from_fn(|i, j| covariance[(i, j)]))
     }
 }
 

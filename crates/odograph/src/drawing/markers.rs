@@ -1,6 +1,6 @@
 //! Markers along the path: heading ticks, uncertainty, start and end, and the legend.
 
-use super::path::Path;
+use super::path::MeasuredPath;
 use super::scale::{duration_text, length_text, round_step};
 use super::svg::{coordinate as c, text_width};
 use super::window::{DrawingWindow, RIGHT_MARGIN};
@@ -70,7 +70,12 @@ pub(super) fn loops(
 
 /// Darts that point where the top of the image points, at regular distances and wherever the camera
 /// has turned by 45°.
-pub(super) fn headings(path: &Path<'_>, window: &DrawingWindow, shown: &mut Shown, body: &mut String) {
+pub(super) fn headings(
+    path: &MeasuredPath<'_>,
+    window: &DrawingWindow,
+    shown: &mut Shown,
+    body: &mut String,
+) {
     let every_m = round_step(70.0 / window.scale, 1.0);
     let mut taken = BTreeSet::new();
     let mut ticks = String::new();
@@ -127,7 +132,12 @@ fn two_sigma(at: &PlaceSummary) -> Option<(f64, f64, f64)> {
 
 /// The 2-sigma ellipses of the position that are large enough to be seen and do not overlap; always
 /// that of the end.
-pub(super) fn ellipses(path: &Path<'_>, window: &DrawingWindow, shown: &mut Shown, body: &mut String) {
+pub(super) fn ellipses(
+    path: &MeasuredPath<'_>,
+    window: &DrawingWindow,
+    shown: &mut Shown,
+    body: &mut String,
+) {
     let mut drawn: Vec<String> = vec![];
     // Centres, and how far from them the next ellipse must be. The end comes first: it is always
     // there.
@@ -197,7 +207,7 @@ fn end_mark(x: f64, y: f64) -> String {
 }
 
 /// Start and end with their labels, placed where they hide least of the path.
-pub(super) fn ends(path: &Path<'_>, window: &DrawingWindow, body: &mut String) {
+pub(super) fn ends(path: &MeasuredPath<'_>, window: &DrawingWindow, body: &mut String) {
     let (Some(first), Some(last)) = (path.places().next(), path.places().next_back()) else {
         return;
     };
@@ -234,7 +244,7 @@ pub(super) fn ends(path: &Path<'_>, window: &DrawingWindow, body: &mut String) {
 
 /// Points along the drawn path and along its heading ticks, close enough together to find what a
 /// word would cover.
-fn inked(path: &Path<'_>, window: &DrawingWindow) -> Vec<(f64, f64)> {
+fn inked(path: &MeasuredPath<'_>, window: &DrawingWindow) -> Vec<(f64, f64)> {
     let mut ink: Vec<(f64, f64)> = vec![];
     for stretch in &path.stretches {
         let mut before: Option<(f64, f64)> = None;
@@ -311,7 +321,12 @@ fn round_length(length_m: f64) -> String {
 }
 
 /// The row under the drawing that explains its marks; returns where the page ends.
-pub(super) fn legend(path: &Path<'_>, window: &DrawingWindow, shown: &Shown, body: &mut String) -> f64 {
+pub(super) fn legend(
+    path: &MeasuredPath<'_>,
+    window: &DrawingWindow,
+    shown: &Shown,
+    body: &mut String,
+) -> f64 {
     let mut items: Vec<(f64, String)> = vec![];
     let text = |x: f64, words: &str| {
         format!("<text class=\"ink\" fill=\"{INK}\" x=\"{}\" y=\"5\">{words}</text>", c(x))

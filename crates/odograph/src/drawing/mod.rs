@@ -14,7 +14,7 @@ mod window;
 use crate::geometry::GroundPoint;
 use crate::geometry::Placement;
 use crate::trajectory::{FrameSummary, distance_m};
-use path::{Path, simplified};
+use path::{MeasuredPath, simplified};
 use std::fmt::Write;
 use svg::{coordinate, escape};
 use window::DrawingWindow;
@@ -69,7 +69,7 @@ impl MapDrawing<'_> {
     /// Any number of frames is allowed, including zero; polylines are thinned to visible detail.
     /// Poses that are not finite count as lost.
     pub fn svg(&self, frames: &[FrameSummary]) -> String {
-        let path = Path::new(frames);
+        let path = MeasuredPath::new(frames);
         let backdrop = self.backdrop.filter(|b| b.is_drawable());
         let page_width = if self.width.is_nan() { 1200.0 } else { self.width.clamp(400.0, 4000.0).round() };
         let mut heading = String::new();
@@ -115,7 +115,13 @@ impl MapDrawing<'_> {
 
     /// Title and figures over the drawing, as many lines as they need; returns where the drawn
     /// ground begins.
-    fn heading(&self, frames: &[FrameSummary], path: &Path<'_>, page_width: f64, body: &mut String) -> f64 {
+    fn heading(
+        &self,
+        frames: &[FrameSummary],
+        path: &MeasuredPath<'_>,
+        page_width: f64,
+        body: &mut String,
+    ) -> f64 {
         if self.title.trim().is_empty() {
             return 20.0;
         }
@@ -205,8 +211,8 @@ fn hex((red, green, blue): (u8, u8, u8)) -> String {
 }
 
 /// The measured parts: a pale casing for contrast with the ground, then the line, coloured by time.
-fn stretches(path: &Path<'_>, window: &DrawingWindow, body: &mut String) {
-    let at = |place: &path::Place<'_>| window.page(place.at.x_m, place.at.y_m);
+fn stretches(path: &MeasuredPath<'_>, window: &DrawingWindow, body: &mut String) {
+    let at = |place: &path::PathPoint<'_>| window.page(place.at.x_m, place.at.y_m);
     let _ = writeln!(body, "<g fill=\"none\" stroke-linejoin=\"round\" stroke-linecap=\"round\">");
     for stretch in &path.stretches {
         let line = simplified(stretch.iter().map(at), 0.25);
@@ -232,8 +238,8 @@ fn stretches(path: &Path<'_>, window: &DrawingWindow, body: &mut String) {
 }
 
 /// Dashed lines over the gaps, where the path is unknown. Returns the ends of the gaps.
-fn gaps(path: &Path<'_>, window: &DrawingWindow, body: &mut String) -> Vec<(f64, f64)> {
-    let at = |place: &path::Place<'_>| window.page(place.at.x_m, place.at.y_m);
+fn gaps(path: &MeasuredPath<'_>, window: &DrawingWindow, body: &mut String) -> Vec<(f64, f64)> {
+    let at = |place: &path::PathPoint<'_>| window.page(place.at.x_m, place.at.y_m);
     let mut breaks = vec![];
     for pair in path.stretches.windows(2) {
         if let (Some(before), Some(after)) = (pair[0].last(), pair[1].first()) {

@@ -4,7 +4,7 @@ use crate::trajectory::{FrameSummary, PlaceSummary};
 
 /// One measured pose with its time.
 #[derive(Debug, Clone, Copy)]
-pub(super) struct Place<'a> {
+pub(super) struct PathPoint<'a> {
     /// Seconds since the first frame.
     pub time_s: f64,
     pub at: &'a PlaceSummary,
@@ -13,15 +13,15 @@ pub(super) struct Place<'a> {
 /// The measured path: poses of one stretch follow each other frame by frame; between stretches the
 /// camera was lost.
 #[derive(Debug, Default)]
-pub(super) struct Path<'a> {
-    pub stretches: Vec<Vec<Place<'a>>>,
+pub(super) struct MeasuredPath<'a> {
+    pub stretches: Vec<Vec<PathPoint<'a>>>,
     /// Whether frames were lost after the last pose.
     pub ends_lost: bool,
     /// From the first frame to the last, seconds.
     pub duration_s: f64,
 }
 
-impl<'a> Path<'a> {
+impl<'a> MeasuredPath<'a> {
     /// Splits frames into stretches: at every lost frame and wherever the segment changes. Poses
     /// that are not finite are lost.
     pub fn new(frames: &'a [FrameSummary]) -> Self {
@@ -46,13 +46,13 @@ impl<'a> Path<'a> {
             }
             path.ends_lost = false;
             if let Some(stretch) = path.stretches.last_mut() {
-                stretch.push(Place { time_s: frame.time_s - first.time_s, at });
+                stretch.push(PathPoint { time_s: frame.time_s - first.time_s, at });
             }
         }
         path
     }
 
-    pub fn places(&self) -> impl DoubleEndedIterator<Item = &Place<'a>> {
+    pub fn places(&self) -> impl DoubleEndedIterator<Item = &PathPoint<'a>> {
         self.stretches.iter().flatten()
     }
 }

@@ -103,7 +103,7 @@ fn a_gap_is_dashed_and_not_solid() {
 #[test]
 fn world_x_runs_right_and_world_y_up() {
     let frames = [tracked(0, 0.0, 0.0, 0.0, 0.0), tracked(1, 1.0, 0.5, 0.0, 0.0)];
-    let window = DrawingWindow::around(&Path::new(&frames), None, 1200.0, 20.0);
+    let window = DrawingWindow::around(&MeasuredPath::new(&frames), None, 1200.0, 20.0);
     let (start, end) = (window.page(0.0, 0.0), window.page(1.0, 0.5));
     assert!(end.0 > start.0 && end.1 < start.1);
     assert!(((end.0 - start.0) - 2.0 * (start.1 - end.1)).abs() < 1e-9, "one scale");
@@ -125,7 +125,8 @@ fn a_backdrop_is_drawn_at_its_placement() {
     let backdrop = Backdrop { png: b"png", width_px: 200, height_px: 100, placement, opacity: 0.8 };
     let svg = MapDrawing { backdrop: Some(backdrop), ..MapDrawing::default() }.svg(&frames);
     assert_well_formed(&svg);
-    let window = DrawingWindow::around(&Path::new(&frames), Some((placement, 200, 100)), 1200.0, 20.0);
+    let window =
+        DrawingWindow::around(&MeasuredPath::new(&frames), Some((placement, 200, 100)), 1200.0, 20.0);
     let corner = window.page(-0.505, 0.505);
     assert!(svg.contains(&format!("<image x=\"{:.3}\" y=\"{:.3}\"", corner.0, corner.1)));
     let odd = Backdrop { placement: Placement { x_m: f64::NAN, ..placement }, ..backdrop };

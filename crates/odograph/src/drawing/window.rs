@@ -1,6 +1,6 @@
 //! The part of the ground that is drawn, and where on the page.
 
-use super::path::Path;
+use super::path::MeasuredPath;
 use super::scale;
 use super::svg::{coordinate, escape};
 use super::{AXIS, BACKGROUND, FAINT, INK, MUTED};
@@ -41,7 +41,7 @@ pub(super) struct DrawingWindow {
 impl DrawingWindow {
     /// The window that shows the whole path, and all of the backdrop.
     pub fn around(
-        path: &Path<'_>,
+        path: &MeasuredPath<'_>,
         backdrop: Option<(Placement, usize, usize)>,
         page_width: f64,
         top: f64,

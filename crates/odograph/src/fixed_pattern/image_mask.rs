@@ -51,11 +51,11 @@ impl ImageMask {
     }
 
     /// The union of the cells found to be static and the mask given by the user.
-    pub(super) fn of_cells(size: (usize, usize), found: &[bool], told: Option<&Self>) -> Self {
+    pub(super) fn of_cells(size: (usize, usize), found: &[bool], given: Option<&Self>) -> Self {
         let mut mask = Self::nothing(size);
         mask.covered.copy_from_slice(found);
-        if let Some(told) = told {
-            mask.covered.iter_mut().zip(&told.covered).for_each(|(covered, told)| *covered |= told);
+        if let Some(given) = given {
+            mask.covered.iter_mut().zip(&given.covered).for_each(|(covered, given)| *covered |= given);
         }
         mask.counted()
     }

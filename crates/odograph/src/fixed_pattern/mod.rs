@@ -34,7 +34,7 @@ pub enum SinceLast {
 pub struct FixedPattern {
     size: (usize, usize),
     /// Mask given by the user.
-    told: Option<ImageMask>,
+    given: Option<ImageMask>,
     mask: Option<Arc<ImageMask>>,
     images: u64,
     last: Cells,
@@ -87,7 +87,7 @@ impl FixedPattern {
         let count = columns * rows;
         Self {
             size,
-            told: None,
+            given: None,
             mask: None,
             images: 0,
             last: Cells::new(size),
@@ -101,9 +101,9 @@ impl FixedPattern {
     }
 
     /// Adds a mask given by the user, which applies in any case.
-    pub fn with_told(mut self, told: ImageMask) -> Self {
-        self.mask = (!told.is_empty()).then(|| Arc::new(told.clone()));
-        self.told = Some(told);
+    pub fn with_given(mut self, given: ImageMask) -> Self {
+        self.mask = (!given.is_empty()).then(|| Arc::new(given.clone()));
+        self.given = Some(given);
         self
     }
 
@@ -171,12 +171,12 @@ impl FixedPattern {
             *lasting = *now && (large || *before && sure);
         }
         self.before.copy_from_slice(found);
-        let told = self.told.as_ref();
-        if !self.lasting.contains(&true) && told.is_none_or(ImageMask::is_empty) {
+        let given = self.given.as_ref();
+        if !self.lasting.contains(&true) && given.is_none_or(ImageMask::is_empty) {
             self.mask = None;
             return;
         }
-        let mask = ImageMask::of_cells(self.size, &self.lasting, told);
+        let mask = ImageMask::of_cells(self.size, &self.lasting, given);
         if self.mask.as_deref() != Some(&mask) {
             self.mask = Some(Arc::new(mask));
         }

@@ -86,9 +86,9 @@ fn a_given_mask_is_dilated_by_the_patch_radius() {
     let mut picture = GrayImage::new(320, 240);
     picture.samples_mut().fill(255);
     picture.samples_mut()[100 * 320..110 * 320].fill(0);
-    let told = ImageMask::from_picture(&picture);
-    let fixed = FixedPattern::new((320, 240)).with_told(told);
-    let mask = fixed.mask().expect("told");
+    let given = ImageMask::from_picture(&picture);
+    let fixed = FixedPattern::new((320, 240)).with_given(given);
+    let mask = fixed.mask().expect("given");
     assert!(mask.covers(5, 105) && mask.covers(300, 90) && mask.covers(300, 119));
     assert!(!mask.covers(5, 80) && !mask.covers(5, 130));
     assert_eq!(fixed.picture().row(105)[7], 0);

@@ -6,17 +6,17 @@ use nalgebra::{Matrix4, Matrix6, Vector4};
 
 /// The pose of `to` in the frame of `from`: (x, y) in metres, heading wrapped, and the logarithm of
 /// the ratio of heights, as in [`super::MapEdge::motion`].
-pub fn seen_from(from: &GroundPose, to: &GroundPose) -> Vector4<f64> {
+pub fn relative_motion(from: &GroundPose, to: &GroundPose) -> Vector4<f64> {
     let seen = from.se2().between(&to.se2());
     Vector4::new(seen.x_m, seen.y_m, wrap_angle(seen.heading_rad), (to.height_m / from.height_m).ln())
 }
 
-/// The pose at `motion` from `from`: the inverse of [`seen_from`]. Roll and pitch are those of
-/// `from`.
+/// The pose at `motion` from `from`: the inverse of [`relative_motion`]. Roll and pitch are those
+/// of `from`.
 ///
 /// `scale` is the length now of a metre of the motion: the height of `from` now over its height
 /// when the motion was measured.
-pub fn laid_from(from: &GroundPose, motion: &Vector4<f64>, scale: f64) -> GroundPose {
+pub fn compose(from: &GroundPose, motion: &Vector4<f64>, scale: f64) -> GroundPose {
     let world_from_measured = Sim2 { scale, ..Sim2::rigid(&from.se2()) };
     let GroundPoint { x_m, y_m } = world_from_measured.apply(GroundPoint::new(motion[X], motion[Y]));
     GroundPose {
@@ -71,7 +71,7 @@ mod tests {
     proptest! {
         #[test]
         fn a_relative_pose_leads_back_to_its_target(from in poses(), to in poses()) {
-            let back = laid_from(&from, &seen_from(&from, &to), 1.0);
+            let back = compose(&from, &relative_motion(&from, &to), 1.0);
             prop_assert!((back.x_m - to.x_m).hypot(back.y_m - to.y_m) < 1e-12 * 10.0);
             prop_assert!(wrap_angle(back.heading_rad - to.heading_rad).abs() < 1e-12);
             prop_assert!((back.height_m - to.height_m).abs() < 1e-12 * 10.0);
@@ -82,8 +82,8 @@ mod tests {
             // Odometry that has drifted holds `to` for higher than it is, and its metres are longer
             // by as much.
             let measured_m = [from.height_m, drift * to.height_m];
-            let inverse = inverse(&seen_from(&from, &to), measured_m);
-            let mut expected = seen_from(&to, &from);
+            let inverse = inverse(&relative_motion(&from, &to), measured_m);
+            let mut expected = relative_motion(&to, &from);
             expected[0] *= drift;
             expected[1] *= drift;
             let off = inverse - expected;

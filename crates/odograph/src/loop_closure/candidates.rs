@@ -11,7 +11,7 @@ use nalgebra::Vector4;
 
 /// An older keyframe that may overlap the new one.
 #[derive(Debug, Clone)]
-pub struct Candidate {
+pub struct LoopCandidate {
     pub id: KeyframeId,
     pub prior: Prior,
     /// Expected overlap: the share of the new keyframe's view, 0 to 1.
@@ -36,7 +36,7 @@ pub enum Strength {
     Sure,
     /// Within a part of the view: the whole images must be registered, but the place is
     /// unambiguous.
-    Doubtful,
+    Uncertain,
     /// Across a gap, or so uncertain that places may be confused: one match is not enough.
     Weak,
 }
@@ -45,7 +45,7 @@ pub enum Strength {
 const SURE_PX: f64 = 8.0;
 
 /// Maximum standard deviation of an unambiguous position, as a share of the view.
-const DOUBTFUL_VIEWS: f64 = 0.1;
+const MAX_UNCERTAIN_VIEWS: f64 = 0.1;
 
 /// Search limit: standard deviation as a share of the view. Later ones are at least about as
 /// uncertain, since the search also orders by heading.
@@ -57,10 +57,10 @@ impl Prior {
         let view_m = matcher.view_m(pose);
         let sigma_px =
             (sigma_m + 0.5 * view_m * reached.covariance[(HEADING, HEADING)].sqrt()) / matcher.pixel_m(pose);
-        let strength = if reached.across_gap || sigma_m > DOUBTFUL_VIEWS * view_m {
+        let strength = if reached.across_gap || sigma_m > MAX_UNCERTAIN_VIEWS * view_m {
             Strength::Weak
         } else if 3.0 * sigma_px > SURE_PX {
-            Strength::Doubtful
+            Strength::Uncertain
         } else {
             Strength::Sure
         };
@@ -78,10 +78,10 @@ pub fn candidates(
     known: &dyn Fn(KeyframeId) -> Option<GroundPose>,
     matcher: &Matcher,
     config: &LoopClosureConfig,
-) -> Vec<Candidate> {
+) -> Vec<LoopCandidate> {
     let (Some(here), Some(pose)) = (graph.pose(new), known(new)) else { return Vec::new() };
     let view_m = matcher.view_m(&pose);
-    let reach_m = 1.5 * view_m + 2.0 * DOUBTFUL_VIEWS * view_m;
+    let reach_m = 1.5 * view_m + 2.0 * MAX_UNCERTAIN_VIEWS * view_m;
     let near = |other: &GroundPose| (other.x_m - here.x_m).hypot(other.y_m - here.y_m) < reach_m;
     // With no keyframes nearby the graph is not searched.
     let mut left = graph.poses().filter(|(id, other)| *id != new && near(other)).count();
@@ -108,7 +108,7 @@ pub fn candidates(
         let shown = shortened(&prior.reached.motion, 2.0 * sigma_m);
         let overlap = matcher.overlap(&pose, &other, &shown);
         if overlap >= config.least_overlap {
-            found.push(Candidate { id, prior, overlap });
+            found.push(LoopCandidate { id, prior, overlap });
         }
     }
     // Equal overlaps stay ordered by certainty (stable sort).
@@ -117,7 +117,7 @@ pub fn candidates(
 }
 
 /// Rounded to tenths, so that a slightly larger overlap does not outweigh certainty.
-fn rank(candidate: &Candidate) -> f64 {
+fn rank(candidate: &LoopCandidate) -> f64 {
     (10.0 * candidate.overlap).round()
 }
 

@@ -5,15 +5,15 @@ use crate::camera::Camera;
 use crate::fixed_pattern::ImageMask;
 use crate::geometry::{GroundPose, Ray};
 use crate::image::{GrayImage, Pyramid};
-use crate::keyframe::relative_pose::{laid_from, motion_covariance, seen_from};
+use crate::keyframe::relative_pose::{compose, motion_covariance, relative_motion};
 use crate::motion::MotionEstimate;
 use crate::motion::ViewingPose;
 use crate::motion::dense::{self, DenseEstimate, DenseImage};
 use crate::motion::{CoarseOptions, CoarseRegistration, GroundView, MotionModel, Random};
 use crate::odometry::OdometryConfig;
-use crate::odometry::follow::{self, Measurement};
-use crate::odometry::keyframe::{GRID, Keyframe, grid_rays, seen_share};
+use crate::odometry::keyframe::{GRID, Keyframe, image_grid, overlap};
 use crate::odometry::learned::Learned;
+use crate::odometry::tracking::{self, Measurement};
 use crate::place_recognition::{PlacesConfig, Signature};
 use nalgebra::{Matrix4, Matrix6, Vector4};
 use std::sync::Arc;
@@ -42,13 +42,13 @@ pub struct Pictured {
 
 /// The relative pose of two keyframes.
 #[derive(Debug, Clone, Copy, PartialEq)]
-pub struct Sighting {
+pub struct LoopSighting {
     /// As [`crate::keyframe::MapEdge::motion`].
     pub motion: Vector4<f64>,
     pub covariance: Matrix4<f64>,
     /// Number of inliers, and their share of the corners that should be in view.
     pub inliers: usize,
-    pub presence: f64,
+    pub inlier_ratio: f64,
 }
 
 /// A hypothesis of the relative pose, from registration of whole images.
@@ -75,7 +75,7 @@ impl Matcher {
             camera: camera.clone(),
             config: config.for_camera(camera),
             registration: CoarseRegistration::new(camera),
-            rays: grid_rays(camera),
+            rays: image_grid(camera),
             mask: None,
         }
     }
@@ -111,15 +111,15 @@ impl Matcher {
     /// in view of one with those of `to` at `motion`.
     pub fn overlap(&self, from: &GroundPose, to: &GroundPose, motion: &Vector4<f64>) -> f64 {
         let from = at_origin(from);
-        seen_share(&from, &self.rays, &self.camera, &ViewingPose::new(self.placed(&from, to, motion)))
+        overlap(&from, &self.rays, &self.camera, &ViewingPose::new(self.placed(&from, to, motion)))
     }
 
     /// The pose at `motion` from `from`, with roll and pitch of `to`. Its height is that of `to`
     /// too, unless heights drift: then it is the measured one.
     fn placed(&self, from: &GroundPose, to: &GroundPose, motion: &Vector4<f64>) -> GroundPose {
-        let laid = laid_from(from, motion, 1.0);
-        let height_m = if self.scale_is_free() { laid.height_m } else { to.height_m };
-        GroundPose { height_m, roll_rad: to.roll_rad, pitch_rad: to.pitch_rad, ..laid }
+        let predicted = compose(from, motion, 1.0);
+        let height_m = if self.scale_is_free() { predicted.height_m } else { to.height_m };
+        GroundPose { height_m, roll_rad: to.roll_rad, pitch_rad: to.pitch_rad, ..predicted }
     }
 
     fn scale_is_free(&self) -> bool {
@@ -144,7 +144,7 @@ impl Matcher {
         pictured: &Pictured,
         motion: &Vector4<f64>,
         off_px: f64,
-    ) -> Option<Sighting> {
+    ) -> Option<LoopSighting> {
         let keyframe = &sought.keyframe;
         let prediction = self.placed(&keyframe.pose, &pictured.pose, motion);
         let (camera, config) = (&self.camera, &self.config);
@@ -152,7 +152,7 @@ impl Matcher {
         let learned = Learned::new(&prediction);
         let mut random = Random::new(0);
         let mut measure = |off_px: f64| {
-            follow::measure_near(
+            tracking::measure_near(
                 keyframe,
                 &pictured.pyramid,
                 camera,
@@ -165,13 +165,13 @@ impl Matcher {
         };
         let first = measure(off_px).ok()?;
         let found =
-            follow::confirm(keyframe, &pictured.pyramid, camera, first, config, &learned, &mut random);
+            tracking::confirm(keyframe, &pictured.pyramid, camera, first, config, &learned, &mut random);
         // On a rigid mount, a match that needs another height or tilt is unreliable.
         let still = leans_alike(&keyframe.pose, &pictured.pose, STILL);
         if still && !leans_alike(&prediction, &found.estimate.pose, CONTRADICTING) {
             return None;
         }
-        let presence = follow::presence(keyframe, camera, &found);
+        let inlier_ratio = found.inlier_ratio(keyframe, camera);
         let inliers = found.estimate.inlier_count();
         let whole =
             if found.agreement.is_none() { self.refined(keyframe, pictured, &found, &learned) } else { None };
@@ -179,7 +179,7 @@ impl Matcher {
         self.sighting(
             keyframe,
             &estimate,
-            (inliers, presence),
+            (inliers, inlier_ratio),
             if still { UNMODELLED_PX } else { UNMODELLED_MOVING_PX },
         )
     }
@@ -206,11 +206,11 @@ impl Matcher {
         let whole = dense::refine(camera, keyframe.dense(camera), &image, &corners.pose, &prior, motion)?;
         let off_m =
             (whole.estimate.pose.x_m - corners.pose.x_m).hypot(whole.estimate.pose.y_m - corners.pose.y_m);
-        let tells = whole.score >= DenseEstimate::LEAST_SCORE
+        let is_significant = whole.score >= DenseEstimate::LEAST_SCORE
             && whole.agreement >= motion.minimum_inlier_fraction
             && off_m < pixel_m
             && leans_alike(&corners.pose, &whole.estimate.pose, CONTRADICTING);
-        (tells && spread(&whole.estimate) < spread(corners)).then_some(whole.estimate)
+        (is_significant && spread(&whole.estimate) < spread(corners)).then_some(whole.estimate)
     }
 
     /// The sighting of a keyframe, with the number and the share of its corners that were found.
@@ -218,19 +218,19 @@ impl Matcher {
         &self,
         keyframe: &Keyframe,
         estimate: &MotionEstimate,
-        (inliers, presence): (usize, f64),
+        (inliers, inlier_ratio): (usize, f64),
         off_px: f64,
-    ) -> Option<Sighting> {
+    ) -> Option<LoopSighting> {
         let pose = &estimate.pose;
         let off_px = off_px.powi(2);
         let off_m2 = off_px * self.pixel_m(&keyframe.pose).powi(2);
         let off_rad2 = off_px / (0.5 * self.camera.width().min(self.camera.height()) as f64).powi(2);
         let unmodelled = Matrix4::from_diagonal(&Vector4::new(off_m2, off_m2, off_rad2, 0.0));
-        let sighting = Sighting {
-            motion: seen_from(&keyframe.pose, pose),
+        let sighting = LoopSighting {
+            motion: relative_motion(&keyframe.pose, pose),
             covariance: motion_covariance(&keyframe.pose, pose, &estimate.covariance) + unmodelled,
             inliers,
-            presence,
+            inlier_ratio,
         };
         sighting.motion.iter().all(|value| value.is_finite()).then_some(sighting)
     }
@@ -256,7 +256,7 @@ impl Matcher {
         };
         let here = &sought.keyframe.pose;
         let guess = |hypothesis: crate::motion::Hypothesis| Guess {
-            motion: seen_from(here, &hypothesis.pose(here, &pictured.pose)),
+            motion: relative_motion(here, &hypothesis.pose(here, &pictured.pose)),
             score: hypothesis.score,
         };
         self.registration.register(from, to, &options).into_iter().map(guess).collect()
@@ -318,7 +318,7 @@ mod tests {
             let there = GroundPose { x_m: here.x_m + 0.2 * cos, y_m: 0.2 * sin, heading_rad, ..here };
             let (sought, pictured) =
                 (matcher.sought(picture(&here), &here), matcher.pictured(picture(&there), &there));
-            let truth = seen_from(&here, &there);
+            let truth = relative_motion(&here, &there);
             let expected = truth + Vector4::new(0.004 * cos, -0.004 * sin, 0.006 * sin, 0.0);
             let found = matcher.find(&sought, &pictured, &expected, 8.0).expect("in view");
             squares_m2.push((found.motion - truth).xy().norm_squared());

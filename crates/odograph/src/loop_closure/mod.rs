@@ -29,7 +29,7 @@ pub struct LoopClosureConfig {
     /// Minimum overlap of two keyframes, as a share of the new one's view.
     pub least_overlap: f64,
     /// Minimum share of the corners in the overlap that must be matched.
-    pub least_presence: f64,
+    pub least_inlier_ratio: f64,
     /// Number of agreeing matches on different ground, 1 or 2, that joins parts of a map whose
     /// relative pose is unknown or ambiguous. 1 is enough to localize a camera; a map that is kept
     /// needs 2.
@@ -43,7 +43,7 @@ impl Default for LoopClosureConfig {
             comparisons: 2,
             least_edges: 4,
             least_overlap: 0.35,
-            least_presence: 0.5,
+            least_inlier_ratio: 0.5,
             sightings: 2,
         }
     }
@@ -53,7 +53,8 @@ impl LoopClosureConfig {
     /// The same parameters if all are in range. Fails with the name and the value of one that is
     /// not.
     pub fn validated(self) -> Result<Self> {
-        for (name, share) in [("least_overlap", self.least_overlap), ("least_presence", self.least_presence)]
+        for (name, share) in
+            [("least_overlap", self.least_overlap), ("least_inlier_ratio", self.least_inlier_ratio)]
         {
             if !(0.1..=1.0).contains(&share) {
                 return Err(Error::usage(format!("slam.{name} is {share}; it must lie between 0.1 and 1")));

@@ -4,7 +4,7 @@ use super::candidates::{Prior, Strength};
 use super::gate::{GATE, normalised_innovation_squared};
 use crate::geometry::{GroundPose, wrap_angle};
 use crate::keyframe::KeyframeId;
-use crate::keyframe::relative_pose::{inverse, laid_from};
+use crate::keyframe::relative_pose::{compose, inverse};
 use crate::loop_closure::matching::Matcher;
 use crate::place_recognition::{PlaceHypothesis, PlaceIndex, Signature};
 use crate::pose_graph::{PoseGraph, Reach};
@@ -70,7 +70,7 @@ pub fn recognise(
     }
     // All hypotheses must agree with the best on the new keyframe's pose, or score far less.
     let place = |(recognised, hypothesis): &(Recognised, &PlaceHypothesis)| {
-        graph.pose(recognised.id).map(|pose| laid_from(&pose, &hypothesis.motion, 1.0))
+        graph.pose(recognised.id).map(|pose| compose(&pose, &hypothesis.motion, 1.0))
     };
     let Some(best) = found.first() else { return Vec::new() };
     let (Some(here), score) = (place(best), best.1.score) else { return Vec::new() };

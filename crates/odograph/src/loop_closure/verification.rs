@@ -5,14 +5,14 @@
 //! only one that is.
 
 use super::LoopClosureConfig;
-use super::candidates::{Candidate, Prior, Strength};
+use super::candidates::{LoopCandidate, Prior, Strength};
 use super::gate::{GATE, normalised_innovation_squared};
 use super::recognition::Recognised;
 use crate::geometry::pose_index::{HEADING, X, Y};
 use crate::geometry::{Sim2, WithCovariance, wrap_angle};
 use crate::keyframe::relative_pose::position_sigma_m;
 use crate::keyframe::{EdgeKind, KeyframeId, MapEdge};
-use crate::loop_closure::matching::{Matcher, Pictured, Sighting, Sought};
+use crate::loop_closure::matching::{LoopSighting, Matcher, Pictured, Sought};
 use nalgebra::Vector4;
 
 /// A loop closure.
@@ -23,7 +23,7 @@ pub struct LoopClosure {
     /// Corners of the newer keyframe matched in the older one.
     pub inliers: usize,
     /// Inlier ratio: the matched share of the corners in the overlap, 0 to 1.
-    pub presence: f64,
+    pub inlier_ratio: f64,
     /// Distance between the measured and the predicted position before this loop closure, metres.
     pub correction_m: f64,
 }
@@ -45,7 +45,7 @@ pub fn look(
     matcher: &Matcher,
     sought: &mut Sought,
     pictured: &mut Pictured,
-    candidate: &Candidate,
+    candidate: &LoopCandidate,
     new: KeyframeId,
     config: &LoopClosureConfig,
 ) -> Option<LoopClosure> {
@@ -63,12 +63,12 @@ pub fn look(
     Some(closure(new, candidate.id, &sighting, sighting.motion - expected))
 }
 
-fn is_clear(found: &Sighting, config: &LoopClosureConfig) -> bool {
-    found.inliers >= LEAST_INLIERS && found.presence >= config.least_presence
+fn is_clear(found: &LoopSighting, config: &LoopClosureConfig) -> bool {
+    found.inliers >= LEAST_INLIERS && found.inlier_ratio >= config.least_inlier_ratio
 }
 
 /// Normalised innovation squared of a match.
-fn misses(sighting: &Sighting, prior: &Prior) -> f64 {
+fn misses(sighting: &LoopSighting, prior: &Prior) -> f64 {
     normalised_innovation_squared(
         &sighting.motion,
         &(prior.reached.covariance + sighting.covariance),
@@ -84,18 +84,18 @@ fn only_one(
     pictured: &mut Pictured,
     prior: &Prior,
     config: &LoopClosureConfig,
-) -> Option<Sighting> {
+) -> Option<LoopSighting> {
     let reached = &prior.reached;
     let heading_off_rad = 0.1 + 3.0 * reached.covariance[(HEADING, HEADING)].sqrt();
     let guesses = matcher.guess(sought, pictured, &reached.motion, heading_off_rad);
     let best_score = guesses.first()?.score;
-    let mut found: Option<Sighting> = None;
+    let mut found: Option<LoopSighting> = None;
     for guess in guesses.iter().filter(|guess| guess.score >= RIVAL_SCORE * best_score) {
         if normalised_innovation_squared(&guess.motion, &reached.covariance, &reached.motion) > RIVAL_GATE {
             continue;
         }
         let Some(sighting) = matcher.find(sought, pictured, &guess.motion, GUESS_OFF_PX) else { continue };
-        if sighting.inliers < LEAST_INLIERS || sighting.presence < 0.7 * config.least_presence {
+        if sighting.inliers < LEAST_INLIERS || sighting.inlier_ratio < 0.7 * config.least_inlier_ratio {
             continue;
         }
         match &found {
@@ -108,7 +108,7 @@ fn only_one(
 }
 
 /// Whether two matches are of different places: more than a centimetre, or 0.02 rad, apart.
-fn elsewhere(a: &Sighting, b: &Sighting) -> bool {
+fn elsewhere(a: &LoopSighting, b: &LoopSighting) -> bool {
     let off = a.motion - b.motion;
     off[X].hypot(off[Y]) > 0.01 || wrap_angle(off[HEADING]).abs() > 0.02
 }
@@ -136,12 +136,12 @@ pub fn look_recognised(
     Some(closure(new, recognised.id, &found, off))
 }
 
-fn closure(new: KeyframeId, old: KeyframeId, found: &Sighting, off: Vector4<f64>) -> LoopClosure {
+fn closure(new: KeyframeId, old: KeyframeId, found: &LoopSighting, off: Vector4<f64>) -> LoopClosure {
     let (motion, covariance) = (found.motion, found.covariance);
     LoopClosure {
         edge: MapEdge { from: new, to: old, kind: EdgeKind::Loop, motion, covariance },
         inliers: found.inliers,
-        presence: found.presence,
+        inlier_ratio: found.inlier_ratio,
         correction_m: off[X].hypot(off[Y]),
     }
 }

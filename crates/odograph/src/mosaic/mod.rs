@@ -8,8 +8,8 @@
 
 mod coverage;
 mod footprint;
-mod laying;
-mod relaid;
+mod orthorectification;
+mod map_mosaic;
 mod sampling;
 mod tiles;
 
@@ -19,8 +19,8 @@ use crate::geometry::Placement;
 use crate::image::{GrayImage, RgbImage};
 pub use coverage::Coverage;
 use footprint::{Footprint, GroundCamera};
-use laying::{BLOCK, BlockCorner, Blocks, feather};
-pub use relaid::{MOSAIC_TILE_PX, MapMosaic, MosaicTile};
+pub use map_mosaic::{MOSAIC_TILE_PX, MapMosaic, MosaicTile};
+use orthorectification::{BLOCK, BlockCorner, Blocks, feather};
 use sampling::FrameSamples;
 use std::borrow::Cow;
 use std::ops::Range;
@@ -266,12 +266,12 @@ impl Mosaic {
         let rows = block(-high.y_m, resolution_m)..block(-low.y_m, resolution_m) + 1;
         let blocks = Blocks { columns, rows };
         self.find_corners(&blocks, &view, resolution_m);
-        let laid = match self.samples.channels() {
-            1 => self.lay::<1>(&blocks, &view, resolution_m, camera),
-            _ => self.lay::<3>(&blocks, &view, resolution_m, camera),
+        let covered = match self.samples.channels() {
+            1 => self.orthorectify::<1>(&blocks, &view, resolution_m, camera),
+            _ => self.orthorectify::<3>(&blocks, &view, resolution_m, camera),
         };
         self.keep_within_bounds();
-        laid
+        covered
     }
 
     /// The whole picture at the stored resolution; coarser by halves if its bounding box would have

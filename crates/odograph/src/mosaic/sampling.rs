@@ -1,7 +1,7 @@
 //! The frame being added, reduced to the resolution of the ground, with bilinear sampling.
 
 use super::MosaicSource;
-use crate::image::simd::ground::{Feather, Laid};
+use crate::image::simd::ground::{Feather, UnrectifiedFrame};
 
 /// A frame's samples, one or three channels, halved `level` times.
 #[derive(Debug, Clone, Default)]
@@ -52,8 +52,12 @@ impl FrameSamples {
 
     /// The frame prepared for blending, its samples multiplied by `gains`; `None` if it has too few
     /// of them.
-    pub fn laid<const N: usize>(&self, feather: Feather, gains: [f32; N]) -> Option<Laid<'_, N>> {
-        Laid::new(&self.samples, (self.width, self.height), self.scale, feather, gains)
+    pub fn unrectified<const N: usize>(
+        &self,
+        feather: Feather,
+        gains: [f32; N],
+    ) -> Option<UnrectifiedFrame<'_, N>> {
+        UnrectifiedFrame::new(&self.samples, (self.width, self.height), self.scale, feather, gains)
     }
 
     fn halve(&mut self) {

@@ -66,14 +66,14 @@ fn errors(picture: &MosaicPicture) -> (Vec<f64>, Vec<f64>) {
 fn frames_under_known_poses_become_the_ground_they_saw() {
     let (camera, mut mosaic) = (camera(), Mosaic::new(MosaicOptions::default()));
     let rays = rays(&camera);
-    let mut laid = 0;
+    let mut covered = 0;
     for pose in drive() {
         if mosaic.wants(&camera, &pose) {
-            laid += 1;
+            covered += 1;
             assert!(mosaic.add(&rendered(&camera, &rays, &pose, 1.0), &camera, &pose));
         }
     }
-    assert!((5..40).contains(&laid), "{laid} of 60 frames laid");
+    assert!((5..40).contains(&covered), "{covered} of 60 frames covered");
     let picture = mosaic.picture().unwrap();
     let (levels, shifts) = errors(&picture);
     let quantile = |sorted: &[f64], share: f64| sorted[((sorted.len() - 1) as f64 * share) as usize];

@@ -12,10 +12,10 @@ use nalgebra::{Matrix6, Matrix6x2, Vector6};
 ///
 /// Sensor noise is independent between tracks. Lossy video copies blocks from where they nearly
 /// were in the previous frame and omits small corrections: all tracks of a block, and to a lesser
-/// degree of the whole image, have the same error. The correlation between neighbours tells the
-/// size of the common error. Measured on three rendered grounds: correlations of 0.10–0.15 (H.264
-/// at crf 28) went with common shifts of 0.26–0.31 of a track's error, 0.21–0.33 (crf 38) with 0.6,
-/// and 0.03 or less (not compressed) with no more than the mean of independent errors.
+/// degree of the whole image, have the same error. The correlation between neighbours determines
+/// the size of the common error. Measured on three rendered grounds: correlations of 0.10–0.15
+/// (H.264 at crf 28) went with common shifts of 0.26–0.31 of a track's error, 0.21–0.33 (crf 38)
+/// with 0.6, and 0.03 or less (not compressed) with no more than the mean of independent errors.
 #[derive(Debug, Clone, Copy, PartialEq, Default)]
 pub struct ResidualCorrelation {
     /// Sum of the products of their errors, in units of the variance of one.

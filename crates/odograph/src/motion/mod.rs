@@ -152,7 +152,7 @@ pub struct Observations<'a> {
 
 /// A ground point found in an image, with the covariance of its pixel.
 #[derive(Debug, Clone, Copy, PartialEq)]
-pub struct Sighting {
+pub struct Correspondence {
     /// The ground point.
     pub ground: GroundPoint,
     /// Elevation of the point.
@@ -167,20 +167,21 @@ pub struct Sighting {
     pub keyframe_row_fraction: f64,
 }
 
-stored!(Sighting);
+stored!(Correspondence);
 
 /// Whitened observations, and the standard deviation of the median track, pixels. `shared_px2` is
 /// added to the variance of each coordinate: noise that tracks share, so that no track dominates.
-/// `None` without sightings.
-pub fn whitened(sightings: &[Sighting], shared_px2: f64) -> Option<(Buffer<Observation>, f64)> {
-    let covariance = |seen: &Sighting| seen.covariance_px2 + shared_px2 * Matrix2::identity();
-    let mut variances: Buffer<f64> = sightings.iter().map(|seen| 0.5 * covariance(seen).trace()).collect();
+/// `None` without correspondences.
+pub fn whitened(correspondences: &[Correspondence], shared_px2: f64) -> Option<(Buffer<Observation>, f64)> {
+    let covariance = |seen: &Correspondence| seen.covariance_px2 + shared_px2 * Matrix2::identity();
+    let mut variances: Buffer<f64> =
+        correspondences.iter().map(|seen| 0.5 * covariance(seen).trace()).collect();
     if variances.is_empty() {
         return None;
     }
     let middle = variances.len() / 2;
     let median_px2 = *variances.select_nth_unstable_by(middle, f64::total_cmp).1;
-    let observation = |seen: &Sighting| {
+    let observation = |seen: &Correspondence| {
         let information = covariance(seen).try_inverse().map(|inverse| median_px2 * inverse);
         let root = information.and_then(|information| information.cholesky());
         let whitening = root.map_or(Matrix2::identity(), |root| root.l().transpose());
@@ -193,7 +194,7 @@ pub fn whitened(sightings: &[Sighting], shared_px2: f64) -> Option<(Buffer<Obser
             keyframe_row_fraction: seen.keyframe_row_fraction,
         }
     };
-    Some((sightings.iter().map(observation).collect(), median_px2.sqrt()))
+    Some((correspondences.iter().map(observation).collect(), median_px2.sqrt()))
 }
 
 /// An estimated pose.

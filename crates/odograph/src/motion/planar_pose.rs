@@ -9,8 +9,8 @@ use super::pose_covariance::{RobustFit, by_prior_tilt, pose_changes, well_constr
 use super::residual::{Axes, Residual, residual};
 use super::rig_evidence::{WeightedRigPrior, evidence, widen};
 use super::{
-    MotionConfig, MotionEstimate, MotionModel, Observation, Observations, RigEvidence, RigPrior,
-    ShutterEstimate,
+    KeyframeError, MotionConfig, MotionEstimate, MotionModel, Observation, Observations, RigEvidence,
+    RigPrior, ShutterEstimate,
 };
 use crate::buffer::Buffer;
 use crate::camera::Camera;
@@ -114,7 +114,7 @@ pub fn refine(
     linearize(&pose, &nuisance, INITIAL_NOISE * config.inlier_px, &mut residuals, &mut errors);
     let mut cutoff_px = config.inlier_px;
     let mut equations = NormalEquations::new(nuisance.count);
-    let mut rig_evidence = None;
+    let (mut rig_evidence, mut explained) = (None, false);
     for iteration in 0..MAX_ITERATIONS {
         let tracks = nuisance.equations(&residuals, &weights, nuisance.count);
         equations = tracks;
@@ -139,18 +139,21 @@ pub fn refine(
             (POSE..nuisance.count.min(WITH_KEYFRAME)).for_each(|i| tracks_alone.hold(i));
             let slope = *tracks_alone.slope();
             let tracks_alone = tracks_alone.factor()?;
-            // The noise of the tracks is what remains without the prior: a misfit by a prior that is
-            // too tight would otherwise count as noise and confirm that prior.
+            // The noise of the tracks is what remains without the prior: a misfit by a prior that
+            // is too tight would otherwise count as noise and confirm that prior.
             let step = tracks_alone.solve(&slope);
             nuisance.errors_after(&step, &residuals, &mut free_errors);
             free_lengths.iter_mut().zip(&*free_errors).for_each(|(length, [x, y])| *length = x.hypot(*y));
-            let free_px = robust_scale(&free_lengths, config.inlier_px, &mut free_sorted).min(scale_px);
+            let free_px = robust_scale(&free_lengths, config.inlier_px, &mut free_sorted);
+            let is_explained = free_px < EXPLAINED * scale_px;
+            let free_px = if is_explained { free_px } else { scale_px };
             let held_px = well_constrained_scale(camera, &pose, &equations, &weights, free_px);
             let shared_px = shared_px(free_px, prior.shared_fraction * held_px);
             let evidence = evidence(camera, &tracks_alone, &pose, &rig_prior, free_px, shared_px);
             if widen(&mut prior, &evidence) {
                 continue;
             }
+            explained = is_explained;
             rig_evidence = Some((evidence, tracks_alone));
         }
         // In units of the height: below 10⁻⁴ px.
@@ -171,6 +174,10 @@ pub fn refine(
     let degrees_of_freedom = 2 * count - unknowns.count();
     let rig_prior = WeightedRigPrior::new(&prior, scale_px);
     let keyframe_error = nuisance.keyframe_error(&equations, scale_px);
+    let keyframe_pose = nuisance.observations.keyframe_pose;
+    if keyframe_error.as_ref().is_some_and(|error| !is_plausible(error, keyframe_pose)) {
+        return None;
+    }
     // From here on the covariance is conditional on the keyframe.
     (POSE..nuisance.count.min(WITH_KEYFRAME)).for_each(|i| equations.hold(i));
     let given_keyframe = equations.factor()?;
@@ -208,7 +215,7 @@ pub fn refine(
         / degrees_of_freedom as f64;
     let held_px = well_constrained_scale(camera, &pose, &equations, &weights, scale_px);
     let shared_px = shared_px(scale_px, prior.shared_fraction * held_px);
-    if rig_evidence.is_none() {
+    if !explained {
         free_errors.iter_mut().zip(&*residuals).for_each(|(free, residual)| *free = residual.error);
     }
     let rig_evidence = rig_evidence.map(|(evidence, tracks_alone)| {
@@ -219,9 +226,13 @@ pub fn refine(
             by_keyframe: by_keyframe.fixed_view::<3, 3>(3, 3).into_owned(),
         }
     });
+    let covariance = own + shared_covariance(camera, &pose, &unknowns, shared_px);
+    if (0..2).any(|i| covariance[(i, i)].sqrt() > MAX_RELATIVE_SIGMA * pose.height_m) {
+        return None;
+    }
     Some(MotionEstimate {
         pose,
-        covariance: own + shared_covariance(camera, &pose, &unknowns, shared_px),
+        covariance,
         by_keyframe: pose_changes(&given_keyframe, &slopes, &unknowns),
         by_prior_tilt: by_prior_tilt(&given_keyframe, &rig_prior, &unknowns),
         keyframe_error,
@@ -234,6 +245,17 @@ pub fn refine(
         shutter,
     })
 }
+
+/// Whether a keyframe may have had the height and tilt that a fit finds for it. Tracks that fit only
+/// a keyframe of quite another height or tilt are not of that ground.
+fn is_plausible(error: &KeyframeError, keyframe_pose: &GroundPose) -> bool {
+    let [height_m, roll_rad, pitch_rad] = error.mean.into();
+    [height_m / keyframe_pose.height_m, roll_rad, pitch_rad].iter().all(|off| off.abs() < MAX_KEYFRAME_ERROR)
+}
+
+/// Largest error of a keyframe's height, as a part of it, and tilt, radians: three standard
+/// deviations of the tilt of an unknown mount.
+const MAX_KEYFRAME_ERROR: f64 = 0.15;
 
 /// Elevations of the observed points given the pose.
 fn elevations(
@@ -256,9 +278,17 @@ fn elevations(
 /// Median of the χ² distribution with one degree of freedom.
 const CHI_SQUARED_MEDIAN: f64 = 0.455;
 
+/// A prior is too tight where the residual without it is below this fraction of that with it. Not
+/// derived; chosen: a wrong lens or shutter leaves more.
+const EXPLAINED: f64 = 0.5;
+
 /// Initial noise of a track, before residuals give the scale, as a fraction of the inlier distance.
 /// Not derived; chosen.
 const INITIAL_NOISE: f64 = 0.05;
+
+/// A position that the tracks determine to no better than this part of the height is not measured.
+/// The next keyframe and the velocity would be built on it. Not derived; chosen.
+const MAX_RELATIVE_SIGMA: f64 = 0.1;
 
 /// Most iterations of the robust fit. Not derived; chosen.
 const MAX_ITERATIONS: usize = 12;

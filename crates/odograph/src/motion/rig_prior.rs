@@ -20,16 +20,16 @@ pub struct RigPrior {
 }
 
 impl RigPrior {
-    /// The product of this prior and the one that usual steps from the last frame give.
-    fn after(mut self, last: Option<&[f64; 3]>, steps: &[Steps; 3]) -> Self {
-        let Some(last) = last else { return self };
-        let lower_bound = [MIN_STEP_SIGMA * last[0], MIN_STEP_SIGMA, MIN_STEP_SIGMA];
-        for i in 0..3 {
-            let (mount_information, step_information) =
-                (self.sigma[i].powi(-2), 1.0 / steps[i].variance(lower_bound[i]));
+    /// The product of this prior and the one that the last frames give.
+    fn after(mut self, variations: &[Variation; 3]) -> Self {
+        for (i, variation) in variations.iter().enumerate() {
+            let Some((mean, variance)) = variation.prediction(if i == 0 { self.mean[0] } else { 1.0 }) else {
+                continue;
+            };
+            let (mount_information, step_information) = (self.sigma[i].powi(-2), 1.0 / variance);
             if step_information > 0.0 && step_information.is_finite() {
                 self.mount_share[i] = mount_information / (mount_information + step_information);
-                self.mean[i] += (1.0 - self.mount_share[i]) * (last[i] - self.mean[i]);
+                self.mean[i] += (1.0 - self.mount_share[i]) * (mean - self.mean[i]);
                 self.sigma[i] = (mount_information + step_information).sqrt().recip();
             }
         }
@@ -47,7 +47,40 @@ impl RigPrior {
     }
 }
 
-/// Mean square of the steps of height, roll or pitch from frame to frame.
+/// How height, roll or pitch go on from frame to frame.
+#[derive(Debug, Clone, Copy, Default)]
+struct Variation {
+    last: Option<f64>,
+    /// Change at the last frame.
+    change: Option<f64>,
+    /// Steps from the last frame, and from the value extrapolated with the last change.
+    steps: Steps,
+    innovations: Steps,
+}
+
+impl Variation {
+    fn learn(&mut self, current: f64) {
+        if let Some(last) = self.last.replace(current) {
+            let step = current - last;
+            self.steps.learn(step);
+            if let Some(change) = self.change.replace(step) {
+                self.innovations.learn(step - change);
+            }
+        }
+    }
+
+    /// Mean and variance of the next value, by whichever of the two predicted better: a shaken
+    /// mount varies about the last value, a hand turns steadily.
+    fn prediction(&self, unit: f64) -> Option<(f64, f64)> {
+        let last = self.last?;
+        let lower_bound = MIN_STEP_SIGMA * unit;
+        let steady = (last, self.steps.variance(lower_bound));
+        let turning = (last + self.change.unwrap_or(0.0), self.innovations.variance(lower_bound));
+        Some(if turning.1 < steady.1 { turning } else { steady })
+    }
+}
+
+/// Mean square of steps.
 #[derive(Debug, Clone, Copy, Default)]
 struct Steps {
     mean_square: f64,
@@ -151,8 +184,7 @@ pub struct RigPriorEstimator {
     nominal: [f64; 3],
     deviations: [Deviation; 3],
     mount_tilt: [MountTilt; 2],
-    steps: [Steps; 3],
-    last: Option<[f64; 3]>,
+    variations: [Variation; 3],
     /// Elevation of the ground in view, of this frame and of the keyframe, metres.
     ground_level_m: f64,
     keyframe_ground_level_m: f64,
@@ -234,8 +266,7 @@ impl RigPriorEstimator {
             nominal: [mount.height_m, mount.roll_rad, mount.pitch_rad],
             deviations: Default::default(),
             mount_tilt: [MountTilt::UNKNOWN; 2],
-            steps: Default::default(),
-            last: None,
+            variations: Default::default(),
             ground_level_m: 0.0,
             keyframe_ground_level_m: 0.0,
             unevenness_m2: 0.0,
@@ -243,8 +274,8 @@ impl RigPriorEstimator {
         }
     }
 
-    /// Prior of the next frame; `last` is the pose before it.
-    pub fn prior(&self, last: &GroundPose, config: &MotionConfig) -> RigPrior {
+    /// Prior of the next frame, which is expected at `prediction`.
+    pub fn prior(&self, prediction: &GroundPose, config: &MotionConfig) -> RigPrior {
         let shared_fraction = self.residual_correlation.shared_fraction();
         match config.model {
             MotionModel::Auto => {
@@ -253,14 +284,22 @@ impl RigPriorEstimator {
                 let mut sigma = [0, 1, 2].map(|i| process_variance[i].sqrt().max(min_sigma[i]));
                 sigma[0] = sigma[0].hypot(self.unevenness_m2.sqrt());
                 RigPrior { mean: self.mount(), sigma, mount_share: [1.0; 3], shared_fraction }
-                    .after(self.last.as_ref(), &self.steps)
+                    .after(&self.variations)
             }
-            _ => RigPrior {
-                mean: [last.height_m, last.roll_rad, last.pitch_rad],
-                sigma: [config.height_prior * last.height_m, config.tilt_prior_rad, config.tilt_prior_rad],
-                mount_share: [0.0; 3],
-                shared_fraction,
-            },
+            _ => {
+                // Height and tilt as they were: an extrapolated mean would let their errors grow.
+                let predicted = [prediction.height_m, prediction.roll_rad, prediction.pitch_rad];
+                let mean = [0, 1, 2].map(|i| {
+                    let Variation { last, change, .. } = self.variations[i];
+                    change.and(last).unwrap_or(predicted[i])
+                });
+                RigPrior {
+                    mean,
+                    sigma: [config.height_prior * mean[0], config.tilt_prior_rad, config.tilt_prior_rad],
+                    mount_share: [0.0; 3],
+                    shared_fraction,
+                }
+            }
         }
     }
 
@@ -281,7 +320,7 @@ impl RigPriorEstimator {
     pub fn mount_tilt_variance(&self) -> [f64; 2] {
         let (process_variance, independent_fraction) =
             (self.process_variance(), 1.0 - self.residual_correlation.shared_fraction());
-        let steps = self.steps.map(|steps| steps.mean_square);
+        let steps = self.variations.map(|variation| variation.steps.mean_square);
         let is_mounted = steps[1].max(steps[2]) < MAX_MOUNTED_STEP * MAX_MOUNTED_STEP;
         let variance =
             |i: usize| independent_fraction * (process_variance[i] - MAX_LONG_TERM_RATIO * steps[i]).max(0.0);
@@ -323,8 +362,12 @@ impl RigPriorEstimator {
     pub fn reset(&mut self) {
         self.deviations = Default::default();
         self.mount_tilt = [MountTilt::UNKNOWN; 2];
-        self.steps = Default::default();
-        self.last = None;
+        self.variations = Default::default();
+    }
+
+    /// The next frame does not follow the last one: over a gap, changes do not go on.
+    pub fn interrupt(&mut self) {
+        self.variations.iter_mut().for_each(|variation| variation.change = None);
     }
 
     /// Learns from a measured frame, given the pose of its keyframe and the covariance that the
@@ -337,9 +380,7 @@ impl RigPriorEstimator {
     ) {
         self.residual_correlation.learn(&estimate.residual_correlation);
         let current = [estimate.pose.height_m, estimate.pose.roll_rad, estimate.pose.pitch_rad];
-        if let Some(last) = self.last.replace(current) {
-            (0..3).for_each(|i| self.steps[i].learn(current[i] - last[i]));
-        }
+        self.variations.iter_mut().zip(current).for_each(|(variation, current)| variation.learn(current));
         let Some(evidence) = &estimate.rig_evidence else {
             return;
         };

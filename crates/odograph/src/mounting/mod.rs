@@ -10,6 +10,6 @@
 mod driving;
 
 pub use driving::{
-    CalibrationMonitor, DrivenTilt, DrivingConfig, Found, LensCoefficient, LensMeasurement, Observability,
-    OnlineCalibration, ReadoutMeasurement, SelfCalibration, TiltMeasurement,
+    CalibrationMonitor, CalibrationUpdate, DrivenTilt, DrivingConfig, LensCoefficient, LensMeasurement,
+    Observability, OnlineCalibration, ReadoutMeasurement, SelfCalibration, TiltMeasurement,
 };

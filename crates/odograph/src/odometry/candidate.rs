@@ -1,9 +1,9 @@
 //! The start of a new segment that has not proved itself yet.
 
-use super::doubt::CHANCE_PRESENCE;
-use super::follow::{self, Measurement};
+use super::ambiguity::CHANCE_INLIER_RATIO;
 use super::keyframe::Keyframe;
 use super::learned::Learned;
+use super::tracking::{self, Measurement};
 use super::{LastPose, OdometryConfig};
 use crate::camera::Camera;
 use crate::fixed_pattern::ImageMask;
@@ -20,7 +20,7 @@ pub const MOST_CONFIRMATIONS: usize = 8;
 
 /// A keyframe made from an unmeasured frame, and the number of later frames that agreed with it.
 #[derive(Debug)]
-pub struct Candidate {
+pub struct SegmentCandidate {
     pub keyframe: Keyframe,
     pub last: LastPose,
     /// Number and time of the keyframe's frame.
@@ -28,7 +28,7 @@ pub struct Candidate {
     confirmations: usize,
 }
 
-impl Candidate {
+impl SegmentCandidate {
     /// A candidate from an unmeasured frame at the pose of `last`. `None` if the frame has too
     /// little texture.
     pub fn new(
@@ -58,11 +58,11 @@ impl Candidate {
     ) -> Option<Measurement> {
         let from = [self.last.extrapolated(time_s), self.last.pose];
         let keyframe = &self.keyframe;
-        let whole = || follow::measure_drowned(keyframe, pyramid, camera, from.each_ref(), config, learned);
+        let whole = || tracking::measure_drowned(keyframe, pyramid, camera, from.each_ref(), config, learned);
         let by_corners = from.iter().find_map(|from| {
-            let found = follow::measure(keyframe, pyramid, camera, from, config, learned, random).ok()?;
-            let presence = follow::presence(keyframe, camera, &found);
-            (presence >= CHANCE_PRESENCE).then_some(found)
+            let found = tracking::measure(keyframe, pyramid, camera, from, config, learned, random).ok()?;
+            let inlier_ratio = found.inlier_ratio(keyframe, camera);
+            (inlier_ratio >= CHANCE_INLIER_RATIO).then_some(found)
         });
         let measurement = by_corners.or_else(whole)?;
         let (pose, covariance) = (measurement.estimate.pose, self.keyframe.covariance);

@@ -1,9 +1,9 @@
 //! How a keyframe was exposed: the rates of its pose, a state that every frame measured against it
 //! refines.
 //!
-//! Rows tell the skew of a frame only against that of its keyframe; the motion from frame to frame
-//! tells it by itself, but roughly. The difference of the two, frame after frame, is the error of
-//! the keyframe's skew (a scalar Kalman filter for each of the rates).
+//! Rows determine the skew of a frame only against that of its keyframe; the motion from frame to
+//! frame determines it by itself, but roughly. The difference of the two, frame after frame, is the
+//! error of the keyframe's skew (a scalar Kalman filter for each of the rates).
 
 use super::Odometry;
 use super::keyframe::Keyframe;
@@ -15,7 +15,8 @@ use crate::motion::{MotionEstimate, PoseRates, RollingShutter};
 /// per second.
 const FIRST_RATE: f64 = 1.0;
 
-/// What a keyframe's corners may be off by, pixels, before they are laid on the ground again.
+/// What a keyframe's corners may be off by, pixels, before they are projected onto the ground
+/// again.
 const NEGLIGIBLE_PX: f64 = 0.003;
 
 impl Odometry {
@@ -34,20 +35,20 @@ impl Odometry {
         next.shutter =
             RollingShutter { rates: seen.expected_rates, ..prior.shutter_at(&self.camera, &estimate.pose) };
         next.rate_variance = prior.rate_variance;
-        let Some(keyframe) = self.keyframe.as_ref().filter(|_| self.rows_tell_rates(readout_s)) else {
+        let Some(keyframe) = self.keyframe.as_ref().filter(|_| self.rows_determine_rates(readout_s)) else {
             return;
         };
-        let doubt = prior.readout.variance_s2 / readout_s.powi(2);
+        let relative_variance = prior.readout.variance_s2 / readout_s.powi(2);
         for i in 0..6 {
-            // What the rows tell has the error of the keyframe, too.
-            let of_readout = doubt * (seen.expected_rates[i] - keyframe.shutter.rates[i]).powi(2);
+            // The rates by the rows have the error of the keyframe, too.
+            let of_readout = relative_variance * (seen.expected_rates[i] - keyframe.shutter.rates[i]).powi(2);
             let by_rows =
                 seen.evidence_variance[i] / readout_s.powi(2) + keyframe.rate_variance[i] + of_readout;
-            let foretold = prior.rate_variance[i];
-            if by_rows.is_finite() && by_rows + foretold > 0.0 {
-                let gain = foretold / (foretold + by_rows);
+            let predicted = prior.rate_variance[i];
+            if by_rows.is_finite() && by_rows + predicted > 0.0 {
+                let gain = predicted / (predicted + by_rows);
                 next.shutter.rates[i] += gain * (seen.evidence[i] / readout_s - seen.expected_rates[i]);
-                next.rate_variance[i] = (1.0 - gain) * foretold;
+                next.rate_variance[i] = (1.0 - gain) * predicted;
             }
         }
     }
@@ -59,14 +60,14 @@ impl Odometry {
         if self.frames == self.serves_since + 1 && self.keyframes == 1 {
             self.expose_by_first_step(seen.expected_rates);
         }
-        if !self.rows_tell_rates(readout_s) {
+        if !self.rows_determine_rates(readout_s) {
             return;
         }
-        let doubt = prior.readout.variance_s2 / readout_s.powi(2);
+        let relative_variance = prior.readout.variance_s2 / readout_s.powi(2);
         let Some(keyframe) = &mut self.keyframe else { return };
         let mut rates = keyframe.shutter.rates;
         for i in 0..6 {
-            let of_readout = doubt * (seen.expected_rates[i] - rates[i]).powi(2);
+            let of_readout = relative_variance * (seen.expected_rates[i] - rates[i]).powi(2);
             let noise = seen.evidence_variance[i] / readout_s.powi(2) + prior.rate_variance[i] + of_readout;
             let own = &mut keyframe.rate_variance[i];
             if noise.is_finite() && *own + noise > 0.0 {
@@ -90,8 +91,8 @@ impl Odometry {
         keyframe.expose(&self.camera, RollingShutter { rates, ..keyframe.shutter });
     }
 
-    /// Whether the readout time is known well enough for rows to tell rates.
-    fn rows_tell_rates(&self, readout_s: f64) -> bool {
+    /// Whether the readout time is known well enough for rows to determine rates.
+    fn rows_determine_rates(&self, readout_s: f64) -> bool {
         readout_s != 0.0 && self.learned.shutter().is_some_and(|state| state.is_known())
     }
 }

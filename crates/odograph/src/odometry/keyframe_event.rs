@@ -5,7 +5,7 @@ use super::keyframe::Keyframe;
 use crate::fixed_pattern::ImageMask;
 use crate::geometry::GroundPose;
 use crate::image::GrayImage;
-use crate::keyframe::relative_pose::{motion_covariance, seen_from};
+use crate::keyframe::relative_pose::{motion_covariance, relative_motion};
 use crate::keyframe::{EdgeKind, KeyframeId, MapEdge};
 use crate::motion::global_image;
 use nalgebra::Matrix6;
@@ -65,11 +65,11 @@ pub(super) struct Before {
 impl Odometry {
     /// Records keyframe events for [`Odometry::take_keyframe_events`], which must then be called
     /// after every frame.
-    pub fn tell_keyframes(&mut self) {
+    pub fn record_keyframes(&mut self) {
         self.events.get_or_insert_default();
     }
 
-    /// Keyframe events since the last call, in order; none without [`Odometry::tell_keyframes`].
+    /// Keyframe events since the last call, in order; none without [`Odometry::record_keyframes`].
     pub fn take_keyframe_events(&mut self) -> Vec<KeyframeEvent> {
         self.events.as_mut().map(std::mem::take).unwrap_or_default()
     }
@@ -79,7 +79,7 @@ impl Odometry {
         self.reference
     }
 
-    /// Takes a keyframe into use: gives it its number, and tells it.
+    /// Takes a keyframe into use: gives it its number, and records the event.
     pub(super) fn number(
         &mut self,
         keyframe: &mut Keyframe,
@@ -94,7 +94,7 @@ impl Odometry {
             from: before.id,
             to: id,
             kind: before.kind,
-            motion: seen_from(&before.pose, &keyframe.pose),
+            motion: relative_motion(&before.pose, &keyframe.pose),
             covariance: motion_covariance(&before.pose, &keyframe.pose, &before.covariance),
         });
         events.push(KeyframeEvent::Made(Box::new(NewKeyframe {
@@ -110,8 +110,8 @@ impl Odometry {
         })));
     }
 
-    /// Tells that a frame was measured against both the present keyframe and an older one.
-    pub(super) fn tell_revisit(
+    /// Records that a frame was measured against both the present keyframe and an older one.
+    pub(super) fn record_revisit(
         &mut self,
         old: &Keyframe,
         by_present: (&GroundPose, &Matrix6<f64>),
@@ -120,18 +120,19 @@ impl Odometry {
         let (Some(events), Some(present)) = (&mut self.events, &self.keyframe) else { return };
         let (Some(from), Some(to)) = (present.id, old.id) else { return };
         // Where the old one is if the frame is where the present one has it.
-        let frame_in_old = seen_from(by_old.0, &old.pose);
-        let moved = crate::keyframe::relative_pose::laid_from(by_present.0, &frame_in_old, 1.0);
-        // Both measurements of the frame; a heading that is off swings the old one about the frame.
-        let mut swing = Matrix6::identity();
+        let frame_in_old = relative_motion(by_old.0, &old.pose);
+        let moved = crate::keyframe::relative_pose::compose(by_present.0, &frame_in_old, 1.0);
+        // Both measurements of the frame; an error of the heading turns the old one about the
+        // frame.
+        let mut adjoint = Matrix6::identity();
         let (dx, dy) = (old.pose.x_m - by_old.0.x_m, old.pose.y_m - by_old.0.y_m);
-        (swing[(0, 2)], swing[(1, 2)]) = (-dy, dx);
-        let covariance = swing * (by_present.1 + by_old.1) * swing.transpose();
+        (adjoint[(0, 2)], adjoint[(1, 2)]) = (-dy, dx);
+        let covariance = adjoint * (by_present.1 + by_old.1) * adjoint.transpose();
         events.push(KeyframeEvent::Revisited(MapEdge {
             from,
             to,
             kind: EdgeKind::Loop,
-            motion: seen_from(&present.pose, &moved),
+            motion: relative_motion(&present.pose, &moved),
             covariance: motion_covariance(&present.pose, &moved, &covariance),
         }));
     }

@@ -1,8 +1,8 @@
 //! Where the camera was last, and so where it should be next.
 
-use crate::geometry::GroundPose;
+use crate::geometry::{GroundPose, Ray};
 use crate::motion::PoseRates;
-use nalgebra::Matrix6;
+use nalgebra::{Matrix6, Vector3};
 
 /// The last measured pose, from which the next is predicted.
 #[derive(Debug, Clone)]
@@ -18,15 +18,33 @@ pub struct LastPose {
     accelerations: [f64; 3],
     /// The time from the measured pose before.
     pub step_s: f64,
-    /// Recent extrapolation errors with constant velocity and with constant acceleration, seen from
-    /// the camera: lengths over the height, and radians.
-    off_by: [f64; 2],
+    /// Recent extrapolation errors of each model of the motion, seen from the camera: lengths over
+    /// the height, and radians.
+    off_by: [f64; MODELS.len()],
 }
+
+/// How the pose goes on from one frame to the next.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+enum MotionPrediction {
+    /// Position and heading at constant velocity; height and tilt stay.
+    Level,
+    /// The same at constant acceleration.
+    Accelerated,
+    /// All six numbers at constant velocity, so that the image moves as before. A shift and a tilt
+    /// that cancel in the image are hard to tell apart: their rates are only right together.
+    Free,
+}
+
+const MODELS: [MotionPrediction; 3] =
+    [MotionPrediction::Level, MotionPrediction::Accelerated, MotionPrediction::Free];
 
 /// A jump exceeds both this (lengths over the height, and radians) and this multiple of the recent
 /// prediction errors. Chosen on a flight over a checkerboard, where a jump by one square is 0.06.
 const JUMP: f64 = 0.03;
 const JUMP_OVER_USUAL: f64 = 5.0;
+
+/// A longer step than this many of the last is a gap.
+const USUAL_STEP: f64 = 1.5;
 
 /// A surprise counts so much less a frame later.
 const REMEMBERED: f64 = 0.7;
@@ -41,14 +59,14 @@ impl LastPose {
             pose_rates: None,
             accelerations: [0.0; 3],
             step_s: 0.0,
-            off_by: [f64::INFINITY; 2],
+            off_by: [f64::INFINITY; MODELS.len()],
         }
     }
 
     pub fn moved(self, time_s: f64, pose: GroundPose, covariance: Matrix6<f64>) -> Self {
         let step_s = time_s - self.time_s;
         if step_s <= 0.0 {
-            let off_by = [f64::INFINITY; 2];
+            let off_by = [f64::INFINITY; MODELS.len()];
             return Self { time_s: self.time_s.max(time_s), pose, covariance, step_s, off_by, ..self };
         }
         let before = self.pose;
@@ -58,12 +76,12 @@ impl LastPose {
         // The rates are those of the middles of the two steps.
         let between_s = 0.5 * (step_s + self.step_s);
         let accelerations = [0, 1, 2].map(|i| (rates[i] - self.rates[i]) / between_s);
-        let off_by = [0, 1].map(|share| {
-            let off_by = seen_apart(&self.carried_on(time_s, share as f64), &pose);
-            match self.off_by[share] {
+        let off_by = std::array::from_fn(|model| {
+            let off_by = seen_apart(&self.predicted(time_s, MODELS[model]), &pose);
+            match self.off_by[model] {
                 // After `still` the rates are a guess, and a step later the accelerations.
                 before if before.is_finite() => off_by.max(REMEMBERED * before),
-                _ if share == 1 && self.step_s == 0.0 => f64::INFINITY,
+                _ if MODELS[model] != MotionPrediction::Level && self.step_s == 0.0 => f64::INFINITY,
                 _ => off_by,
             }
         });
@@ -78,22 +96,29 @@ impl LastPose {
         self.off_by().is_finite() && off_by > JUMP.max(JUMP_OVER_USUAL * self.off_by())
     }
 
-    /// The pose extrapolated to `time_s`, with constant acceleration where that predicted the last
-    /// poses better; height and tilt are constant.
+    /// The pose extrapolated to `time_s` by the model that predicted the last poses best.
     pub fn extrapolated(&self, time_s: f64) -> GroundPose {
-        let [steady, accelerated] = self.off_by;
-        self.carried_on(time_s, if accelerated < steady { 1.0 } else { 0.0 })
+        let best =
+            (1..MODELS.len()).fold(0, |best, i| if self.off_by[i] < self.off_by[best] { i } else { best });
+        self.predicted(time_s, MODELS[best])
     }
 
     /// Recent extrapolation error, seen from the camera: lengths over the height, and radians.
     pub fn off_by(&self) -> f64 {
-        self.off_by[0].min(self.off_by[1])
+        self.off_by.iter().copied().fold(f64::INFINITY, f64::min)
     }
 
-    /// The pose at `time_s` at the last rates, with this share of the acceleration.
-    fn carried_on(&self, time_s: f64, share: f64) -> GroundPose {
+    /// The pose at `time_s` by one model.
+    fn predicted(&self, time_s: f64, model: MotionPrediction) -> GroundPose {
         let step_s = (time_s - self.time_s).max(0.0);
-        // An acceleration does not last: over a gap it is believed for one more step.
+        if let (MotionPrediction::Free, Some(rates)) = (model, &self.pose_rates) {
+            // Height and tilt do not go on over a gap.
+            let brief_s = if step_s < USUAL_STEP * self.step_s { step_s } else { 0.0 };
+            let durations = PoseRates::new(step_s, step_s, step_s, brief_s, brief_s, brief_s);
+            return GroundPose::from_vector(&(self.pose.to_vector() + rates.component_mul(&durations)));
+        }
+        let share = if model == MotionPrediction::Accelerated { 1.0 } else { 0.0 };
+        // An acceleration does not last: over a gap it continues for one more step.
         let accelerated_s = step_s.min(self.step_s.max(0.0));
         let further = |i: usize| {
             let gained = share * self.accelerations[i] * accelerated_s * 0.5 * (step_s + self.step_s);
@@ -108,7 +133,7 @@ impl LastPose {
     }
 
     /// The pose at `time_s` after motion at the mean velocity, which continues.
-    pub fn carried_over_gap(&self, time_s: f64) -> Self {
+    pub fn extrapolated_over_gap(&self, time_s: f64) -> Self {
         let covariance = self.covariance + self.gap_covariance(time_s);
         Self { time_s, pose: self.extrapolated(time_s), covariance, pose_rates: None, ..self.clone() }
     }
@@ -128,10 +153,15 @@ impl LastPose {
     }
 }
 
-/// Approximate upper bound of the distance between images of the same ground seen from two poses:
-/// lengths over the height, and radians.
+/// Largest distance between the images of the same ground seen from two poses, over the focal
+/// length: at the centre and the corners of a view of 0.8 by 0.6.
 pub fn seen_apart(a: &GroundPose, b: &GroundPose) -> f64 {
-    let moved_m = (a.x_m - b.x_m).hypot(a.y_m - b.y_m) + (a.height_m - b.height_m).abs();
-    let turns = [a.heading_rad - b.heading_rad, a.roll_rad - b.roll_rad, a.pitch_rad - b.pitch_rad];
-    moved_m / b.height_m + turns.map(f64::abs).iter().sum::<f64>()
+    const VIEW: [(f64, f64); 5] = [(0.0, 0.0), (0.4, 0.3), (-0.4, 0.3), (0.4, -0.3), (-0.4, -0.3)];
+    let camera_from_world = a.world_from_camera_rotation().transpose();
+    let apart = |(x, y): (f64, f64)| {
+        let ground = b.ground_from_ray(Ray::new(x, y))?;
+        let seen = camera_from_world * Vector3::new(ground.x_m - a.x_m, ground.y_m - a.y_m, -a.height_m);
+        (seen.z > 0.0).then(|| (seen.x / seen.z - x).hypot(seen.y / seen.z - y))
+    };
+    VIEW.into_iter().map(|ray| apart(ray).unwrap_or(f64::INFINITY)).fold(0.0, f64::max)
 }

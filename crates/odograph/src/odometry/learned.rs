@@ -1,6 +1,6 @@
 //! What the frames so far taught about those to come.
 
-use super::follow::Found;
+use super::found_corner::FoundCorner;
 use super::keyframe::Keyframe;
 use super::last_pose::LastPose;
 use super::shutter::ShutterState;
@@ -19,7 +19,7 @@ pub struct Learned {
     pub rig_prior: RigPriorEstimator,
     /// Recent inlier ratio among the corners in view: below 1 where not everything in view is
     /// ground, or where corners are noise.
-    presence: Option<f64>,
+    inlier_ratio: Option<f64>,
     /// The shutter; `None` where it is taken to be global.
     shutter: Option<ShutterState>,
     /// How rough the ground is.
@@ -34,8 +34,8 @@ pub struct Learned {
     pub frame_shutter: Option<ShutterPrior>,
 }
 
-/// Weight of the newest frame in the usual presence: about the last five count.
-const PRESENCE_RATE: f64 = 0.2;
+/// Weight of the newest frame in the usual inlier_ratio: about the last five count.
+const INLIER_RATIO_RATE: f64 = 0.2;
 
 /// Standard deviation of the elevations of rough ground, at least, a part of the height. A wide one
 /// costs nothing: elevations within it are determined by their parallax.
@@ -46,17 +46,17 @@ const LEAST_RELIEF: f64 = 0.01;
 const SAME_SCALE: f64 = 2.0;
 
 /// What is expected before any frame was measured.
-const UNKNOWN_PRESENCE: f64 = 0.5;
+const UNKNOWN_INLIER_RATIO: f64 = 0.5;
 
 /// Inlier ratio from which all corners count as found: a few are always missed.
-const ALL_PRESENT: f64 = 0.75;
+const ALL_FOUND_INLIER_RATIO: f64 = 0.75;
 
 impl Learned {
     /// Nothing yet, of a camera that begins here.
     pub fn new(first: &GroundPose) -> Self {
         Self {
             rig_prior: RigPriorEstimator::new(first),
-            presence: None,
+            inlier_ratio: None,
             shutter: None,
             roughness: Roughness::default(),
             least_relief_m2: (LEAST_RELIEF * first.height_m).powi(2),
@@ -81,7 +81,7 @@ impl Learned {
         if !with_mount {
             self.rig_prior = before.rig_prior;
         }
-        self.presence = before.presence;
+        self.inlier_ratio = before.inlier_ratio;
         self.scale_variance = before.scale_variance;
         self.uneven_frames = before.uneven_frames;
         self.path_m2 = before.path_m2;
@@ -95,8 +95,8 @@ impl Learned {
         self.shutter.as_ref()
     }
 
-    /// Foretells how the image at `time_s` is exposed.
-    pub fn foretell_shutter(&mut self, last: Option<&LastPose>, time_s: f64) {
+    /// Predicts how the image at `time_s` is exposed.
+    pub fn predict_shutter(&mut self, last: Option<&LastPose>, time_s: f64) {
         let both = last.zip(self.shutter.as_ref());
         self.frame_shutter = both.and_then(|(last, shutter)| shutter.prior(last, time_s));
     }
@@ -105,14 +105,14 @@ impl Learned {
     pub fn saw_relief(
         &mut self,
         keyframe: &mut Keyframe,
-        found: &[Found],
+        found: &[FoundCorner],
         estimate: &MotionEstimate,
         last: Option<&LastPose>,
     ) {
         last.into_iter().for_each(|last| self.walk(estimate, last));
         let was_flat = self.relief_m2() == 0.0;
-        let tells_kerbs = self.shutter.as_ref().is_none_or(ShutterState::is_sure);
-        self.roughness.learn(&keyframe.learn_elevations(found, estimate, tells_kerbs));
+        let sees_kerbs = self.shutter.as_ref().is_none_or(ShutterState::is_sure);
+        self.roughness.learn(&keyframe.learn_elevations(found, estimate, sees_kerbs));
         if estimate.needs_relief {
             self.roughness.begin();
         }
@@ -201,7 +201,7 @@ impl Learned {
 
     /// The mean square of what that may be off by, seconds².
     pub fn readout_errors_s2(&self) -> f64 {
-        self.shutter.as_ref().map_or(0.0, ShutterState::readout_doubt_s2)
+        self.shutter.as_ref().map_or(0.0, ShutterState::readout_variance_s2)
     }
 
     /// What the uncertainty of the readout time adds to the covariance of a pose that changes with
@@ -217,9 +217,9 @@ impl Learned {
     }
 
     /// Another keyframe serves from here on.
-    pub fn settle_shutter(&mut self) {
+    pub fn end_shutter_keyframe(&mut self) {
         if let Some(shutter) = &mut self.shutter {
-            shutter.settle();
+            shutter.end_keyframe();
         }
     }
 
@@ -252,20 +252,20 @@ impl Learned {
     }
 
     /// A frame was measured, and this part of the corners in view agreed.
-    pub fn saw(&mut self, presence: f64) {
-        let usual = self.presence.get_or_insert(presence);
-        *usual += PRESENCE_RATE * (presence - *usual);
+    pub fn saw(&mut self, inlier_ratio: f64) {
+        let usual = self.inlier_ratio.get_or_insert(inlier_ratio);
+        *usual += INLIER_RATIO_RATE * (inlier_ratio - *usual);
     }
 
     /// The part of the corners in view that usually agrees, 0 to 1.
-    pub fn usual_presence(&self) -> f64 {
-        self.presence.unwrap_or(UNKNOWN_PRESENCE)
+    pub fn usual_inlier_ratio(&self) -> f64 {
+        self.inlier_ratio.unwrap_or(UNKNOWN_INLIER_RATIO)
     }
 
     /// Fraction of a keyframe's corners that can be expected to be found again, 0 to 1. On plain
     /// tiles in noise most apparent corners are noise; their absence neither ends a keyframe nor a
     /// search.
     pub fn findable(&self) -> f64 {
-        self.presence.map_or(1.0, |usual| (usual / ALL_PRESENT).min(1.0))
+        self.inlier_ratio.map_or(1.0, |usual| (usual / ALL_FOUND_INLIER_RATIO).min(1.0))
     }
 }

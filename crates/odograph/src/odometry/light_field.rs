@@ -1,6 +1,6 @@
 //! How the light of a frame differs from that of its keyframe, from place to place.
 
-use super::follow::Found;
+use super::found_corner::FoundCorner;
 use crate::buffer::Buffer;
 use crate::geometry::Pixel;
 use nalgebra::{Matrix6, Vector2, Vector6};
@@ -18,7 +18,7 @@ pub struct LightField {
 /// So that all coefficients are about as large.
 const UNIT_PX: f64 = 256.0;
 
-/// Fewer tracks tell no field.
+/// Fewer tracks do not determine a field.
 const FEWEST: usize = 30;
 
 /// Fits, each without what was far off in the one before: the edge of a shadow, what moves.
@@ -28,8 +28,8 @@ const ROUNDS: usize = 3;
 const REACH: f64 = 3.0;
 
 impl LightField {
-    /// The field that the brightness of tracks tells; `None` where they are too few.
-    pub fn between(found: &[Found]) -> Option<Self> {
+    /// The field that the brightness of tracks determines; `None` where they are too few.
+    pub fn between(found: &[FoundCorner]) -> Option<Self> {
         if found.len() < FEWEST {
             return None;
         }
@@ -87,7 +87,7 @@ mod tests {
     use nalgebra::Matrix2;
 
     #[test]
-    fn vignetting_is_told_from_what_else_is_bright() {
+    fn vignetting_is_separated_from_other_bright_areas() {
         let mut random = Random::new(5);
         let mut uniform = || random.below(1 << 16) as f64 / 65536.0;
         // Ground that was 150 px further left is now in less light: 30 % less in the corners.
@@ -103,7 +103,7 @@ mod tests {
             }
             let warp = Warp::translation(Pixel::new(x, y));
             let (covariance_px2, noise) = (Matrix2::identity(), Noise::default());
-            found.push(Found { corner, warp, covariance_px2, light, noise });
+            found.push(FoundCorner { corner, warp, covariance_px2, light, noise });
         }
         let field = LightField::between(&found).unwrap();
         for (x, y) in [(100.0, 100.0), (320.0, 240.0), (500.0, 400.0)] {

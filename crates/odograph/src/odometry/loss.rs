@@ -1,10 +1,10 @@
 //! Frames that could not be measured, and how the ground comes back after them.
 
-use super::candidate::{CONFIRMATIONS, Candidate, MOST_CONFIRMATIONS};
-use super::follow::Measurement;
+use super::candidate::{CONFIRMATIONS, MOST_CONFIRMATIONS, SegmentCandidate};
 use super::keyframe::Keyframe;
 use super::keyframe_event::Before;
 use super::last_pose::LastPose;
+use super::tracking::Measurement;
 use super::{Odometry, texture};
 use crate::image::Pyramid;
 use crate::keyframe::EdgeKind;
@@ -21,6 +21,7 @@ impl Odometry {
         }
         self.tracks.clear();
         self.lost_frames += 1;
+        self.learned.rig_prior.interrupt();
         let reason = self.cause(&pyramid, bare, reason);
         if self.standing.is_suspected() {
             // What could be found again would be what stands still, too.
@@ -29,7 +30,7 @@ impl Odometry {
             return self.lost(time_s, reason);
         }
         match self.confirm_candidate(&pyramid, time_s) {
-            Some(found) if self.candidate_is_believed() => return self.begin_segment(pyramid, time_s, found),
+            Some(found) if self.candidate_is_accepted() => return self.begin_segment(pyramid, time_s, found),
             Some(found) if found.support < self.enough_support() => {
                 if let Some(candidate) = &mut self.candidate {
                     candidate.move_on(pyramid, self.frames, &self.camera, &self.config);
@@ -37,13 +38,14 @@ impl Odometry {
             }
             Some(_) => {}
             None => {
-                // Laid where the camera would be had it gone on as it went.
+                // Placed where the camera would be at constant velocity.
                 let last = match &self.last {
-                    Some(last) => last.carried_over_gap(time_s),
+                    Some(last) => last.extrapolated_over_gap(time_s),
                     None => LastPose::still(time_s, self.first_pose, Matrix6::zeros()),
                 };
                 let (frame, mask) = (self.frames, self.fixed.mask());
-                let mut candidate = Candidate::new(pyramid, frame, last, mask, &self.camera, &self.config);
+                let mut candidate =
+                    SegmentCandidate::new(pyramid, frame, last, mask, &self.camera, &self.config);
                 candidate.iter_mut().for_each(|candidate| self.expose_first(&mut candidate.keyframe));
                 self.candidate = candidate;
             }
@@ -65,7 +67,7 @@ impl Odometry {
         }
     }
 
-    /// Why a frame was lost, as far as the image itself tells; otherwise what the measurement said.
+    /// Why a frame was lost, as far as the image itself shows; otherwise what the measurement said.
     pub(super) fn cause(&self, pyramid: &Pyramid, bare: bool, reason: LossReason) -> LossReason {
         match (&self.keyframe, reason) {
             _ if bare && texture::is_dark(pyramid.base()) => LossReason::Dark,
@@ -83,14 +85,14 @@ impl Odometry {
     pub(super) fn confirm_candidate(&mut self, pyramid: &Pyramid, time_s: f64) -> Option<Measurement> {
         // How the frame is exposed is predicted by the frames that confirmed the candidate.
         let last = self.candidate.as_ref().map(|candidate| &candidate.last);
-        self.learned.foretell_shutter(last, time_s);
+        self.learned.predict_shutter(last, time_s);
         let mut random = Random::new(self.frames);
         let (camera, config, learned) = (&self.camera, &self.config, &self.learned);
         self.candidate.as_mut()?.confirm(pyramid, time_s, camera, config, learned, &mut random)
     }
 
     /// Whether enough frames agreed with the candidate. Known ground is preferred to a new segment.
-    pub(super) fn candidate_is_believed(&self) -> bool {
+    pub(super) fn candidate_is_accepted(&self) -> bool {
         let needed =
             if self.recovery.is_exhausted(&self.memory) { CONFIRMATIONS } else { MOST_CONFIRMATIONS };
         self.candidate.as_ref().is_some_and(|candidate| candidate.is_confirmed(needed))
@@ -124,7 +126,7 @@ impl Odometry {
         let before = self.keyframe.as_ref()?;
         // The gap made the position less certain; height and tilt were measured anew and may be
         // more certain than before.
-        let mut covariance = next.covariance - self.carried_covariance(&last.pose);
+        let mut covariance = next.covariance - self.propagated_covariance(&last.pose);
         for k in 3..6 {
             covariance.row_mut(k).fill(0.0);
             covariance.column_mut(k).fill(0.0);

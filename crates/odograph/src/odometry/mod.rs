@@ -7,9 +7,10 @@
 
 mod candidate;
 mod config;
-mod doubt;
+mod ambiguity;
 mod exposure;
-pub(crate) mod follow;
+mod found_corner;
+pub(crate) mod tracking;
 pub(crate) mod keyframe;
 mod keyframe_event;
 mod last_pose;
@@ -35,9 +36,9 @@ use crate::geometry::{GroundPose, Pixel};
 use crate::image::{GrayImage, Pyramid};
 use crate::motion::{MotionEstimate, MotionModel, PoseRates, Random, Readout};
 use crate::trajectory::{FrameEstimate, LossReason, PlaneMeasurement, PoseEstimate, TrackStatus};
-use candidate::Candidate;
+use candidate::SegmentCandidate;
 pub use config::{KeyframeConfig, OdometryConfig};
-use follow::Measurement;
+use found_corner::FoundCorner;
 use keyframe::{Keyframe, KeyframeMemory};
 pub use keyframe_event::{FrameReference, KeyframeEvent, NewKeyframe};
 use last_pose::LastPose;
@@ -45,6 +46,7 @@ use learned::Learned;
 use nalgebra::{Matrix6, Matrix6x2};
 use recovery::Recovery;
 use standing::Standing;
+use tracking::Measurement;
 
 /// What one track looked like in the last frame, for pictures and pages.
 #[derive(Debug, Clone, Copy, PartialEq)]
@@ -69,7 +71,7 @@ pub struct Odometry {
     learned: Learned,
     filter: Option<ConstantAcceleration>,
     /// A start of a new segment that has not proved itself yet.
-    candidate: Option<Candidate>,
+    candidate: Option<SegmentCandidate>,
     recovery: Recovery,
     /// What of the image does not move with the ground.
     fixed: FixedPattern,
@@ -170,14 +172,14 @@ impl Odometry {
                 size.1,
             )));
         }
-        let told = ImageMask::from_picture(picture);
-        if told.share() > MOST_MASKED {
+        let mask = ImageMask::from_picture(picture);
+        if mask.share() > MOST_MASKED {
             return Err(Error::input(format!(
                 "the mask leaves {:.0} % of the image; white is ground, black is not",
-                100.0 * (1.0 - told.share()),
+                100.0 * (1.0 - mask.share()),
             )));
         }
-        self.fixed = FixedPattern::new(size).with_told(told);
+        self.fixed = FixedPattern::new(size).with_given(mask);
         Ok(self)
     }
 
@@ -213,7 +215,7 @@ impl Odometry {
             }
             None => Pyramid::new(image, self.config.flow.levels),
         };
-        self.learned.foretell_shutter(self.last.as_ref(), time_s);
+        self.learned.predict_shutter(self.last.as_ref(), time_s);
         let measured = self.measure(&pyramid, time_s).and_then(|found| self.distrust(found, since_last));
         let frame = match measured {
             Ok(measurement) => self.accept(pyramid, time_s, measurement),
@@ -294,7 +296,7 @@ impl Odometry {
     fn measure(&mut self, pyramid: &Pyramid, time_s: f64) -> std::result::Result<Measurement, LossReason> {
         let near = self.measure_near(pyramid, time_s);
         let measured = match near {
-            Ok(measurement) if !self.is_doubtful(&measurement) => Ok(measurement),
+            Ok(measurement) if !self.is_ambiguous(&measurement) => Ok(measurement),
             near => self.recover(pyramid, time_s, near),
         };
         measured.map(|measurement| self.confirm(pyramid, measurement))
@@ -316,13 +318,14 @@ impl Odometry {
         let still = self.beside_keyframe(&last.pose);
         let (camera, config, learned) = (&self.camera, &self.config, &self.learned);
         let predictions = [&extrapolated, &still];
-        if let Some(whole) = follow::measure_drowned(keyframe, pyramid, camera, predictions, config, learned)
+        if let Some(whole) =
+            tracking::measure_drowned(keyframe, pyramid, camera, predictions, config, learned)
         {
             return Ok(whole);
         }
         if let Some(off_px) = self.prediction_off_px(last, time_s) {
             let mut random = Random::new(self.frames);
-            let near = follow::measure_near(
+            let near = tracking::measure_near(
                 keyframe,
                 pyramid,
                 camera,
@@ -334,16 +337,16 @@ impl Odometry {
             );
             // What others will be built on is searched in full, unless that could not find more.
             let found_enough = |near: &Measurement| {
-                near.settled
+                near.refined
                     || near.support >= self.enough_support()
-                    || follow::presence(keyframe, camera, near) >= NEARLY_ALL * learned.usual_presence()
+                    || near.inlier_ratio(keyframe, camera) >= NEARLY_ALL * learned.usual_inlier_ratio()
             };
             if near.as_ref().is_ok_and(found_enough) {
                 return near;
             }
         }
         for prediction in predictions {
-            outcome = follow::measure(keyframe, pyramid, camera, prediction, config, learned, &mut random);
+            outcome = tracking::measure(keyframe, pyramid, camera, prediction, config, learned, &mut random);
             if outcome.is_ok() {
                 break;
             }
@@ -369,7 +372,7 @@ impl Odometry {
 
     /// A measured frame: its pose improved by the filter, and perhaps the next keyframe.
     fn accept(&mut self, pyramid: Pyramid, time_s: f64, measurement: Measurement) -> FrameEstimate {
-        let presence = self.keyframe.as_ref().map(|k| follow::presence(k, &self.camera, &measurement));
+        let inlier_ratio = self.keyframe.as_ref().map(|k| measurement.inlier_ratio(k, &self.camera));
         let Measurement { mut estimate, found, support, .. } = measurement;
         let mut learned_keyframe = self.keyframe.as_ref().map(|keyframe| keyframe.improved_by(&estimate));
         if let Some((_, covariance)) = learned_keyframe.as_mut().filter(|_| self.keyframes == 1) {
@@ -388,29 +391,29 @@ impl Odometry {
             let moved = PoseRates::new(moved[0], moved[1], moved[2], 0.0, 0.0, 0.0);
             estimate.pose = GroundPose::from_vector(&(estimate.pose.to_vector() + by_keyframe * moved));
         }
-        let carried = learned_keyframe
+        let propagated = learned_keyframe
             .as_ref()
             .map(|(_, covariance)| by_keyframe * covariance * by_keyframe.transpose());
         let (by_skew, by_readout) = self.shutter_errors(&estimate);
         let by_mount_tilt = self.by_mount_tilt(&estimate);
-        let covariance = carried.unwrap_or_default() + estimate.covariance + by_skew;
+        let covariance = propagated.unwrap_or_default() + estimate.covariance + by_skew;
         let known_covariance = covariance
             + self.learned.readout_covariance(&by_readout)
             + self.learned.mount_covariance(&by_mount_tilt)
             + self.learned.level_covariance(&estimate.pose);
         let inliers = estimate.inlier_count();
         let corners = self.keyframe.as_ref().map_or(&[][..], |keyframe| &keyframe.corners);
-        let view = |(found, &inlier): (&follow::Found, &bool)| {
+        let view = |(found, &inlier): (&FoundCorner, &bool)| {
             let corner = corners.get(found.corner)?.template.centre();
             Some(TrackView { pixel: found.warp.position, corner, inlier })
         };
         self.tracks.clear();
         self.tracks.extend(found.iter().zip(&estimate.inliers).filter_map(view));
-        if let (Some(keyframe), Some(carried), Some((moved, _))) =
-            (&self.keyframe, &carried, &learned_keyframe)
+        if let (Some(keyframe), Some(propagated), Some((moved, _))) =
+            (&self.keyframe, &propagated, &learned_keyframe)
         {
             let keyframe = GroundPose::from_vector(&(keyframe.pose.to_vector() + moved));
-            self.learned.rig_prior.learn(&estimate, &keyframe, carried);
+            self.learned.rig_prior.learn(&estimate, &keyframe, propagated);
         }
         if let Some(keyframe) = &mut self.keyframe {
             self.learned.saw_relief(keyframe, &found, &estimate, self.last.as_ref());
@@ -418,8 +421,8 @@ impl Odometry {
                 keyframe.set_level(&self.camera, self.learned.relief_m2());
             }
         }
-        if let Some(presence) = presence {
-            self.learned.saw(presence);
+        if let Some(inlier_ratio) = inlier_ratio {
+            self.learned.saw(inlier_ratio);
         }
         self.candidate = None;
         self.recovery.reset();
@@ -562,22 +565,22 @@ impl Odometry {
 
     /// Propagates the keyframe's covariance to a pose measured against it: its ground is shifted,
     /// turned and scaled with its height.
-    fn carried_covariance(&self, pose: &GroundPose) -> Matrix6<f64> {
+    fn propagated_covariance(&self, pose: &GroundPose) -> Matrix6<f64> {
         let Some(keyframe) = &self.keyframe else {
             return Matrix6::zeros();
         };
         let (dx, dy) = (pose.x_m - keyframe.pose.x_m, pose.y_m - keyframe.pose.y_m);
-        let mut carry = Matrix6::identity();
-        carry[(0, 2)] = -dy;
-        carry[(1, 2)] = dx;
-        carry[(0, 3)] = dx / keyframe.pose.height_m;
-        carry[(1, 3)] = dy / keyframe.pose.height_m;
-        carry * keyframe.covariance * carry.transpose()
+        let mut jacobian = Matrix6::identity();
+        jacobian[(0, 2)] = -dy;
+        jacobian[(1, 2)] = dx;
+        jacobian[(0, 3)] = dx / keyframe.pose.height_m;
+        jacobian[(1, 3)] = dy / keyframe.pose.height_m;
+        jacobian * keyframe.covariance * jacobian.transpose()
     }
 
     /// For the mean vector, measured from frame to frame: only the corners just seen are kept, and
     /// covariances add up.
-    fn keep_only(&mut self, found: &[follow::Found], covariance: Matrix6<f64>) {
+    fn keep_only(&mut self, found: &[FoundCorner], covariance: Matrix6<f64>) {
         if let Some(keyframe) = &mut self.keyframe {
             keyframe.keep_only(found.iter().map(|f| (f.corner, f.warp)));
             keyframe.covariance = covariance;

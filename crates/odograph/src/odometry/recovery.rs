@@ -5,9 +5,9 @@
 //! inliers is taken or, if that is ambiguous, the one clearly nearest to the expected pose. If that
 //! is ambiguous too, the frame stays lost.
 
-use super::follow::{self, Measurement};
 use super::keyframe::{Keyframe, KeyframeMemory};
 use super::learned::Learned;
+use super::tracking::{self, Measurement};
 use super::{LastPose, OdometryConfig};
 use crate::camera::Camera;
 use crate::geometry::{GroundPose, wrap_angle};
@@ -24,12 +24,12 @@ const LEAST_SCORE: f64 = 4.5;
 /// A hypothesis is accepted if its score exceeds the next by this factor and this fraction of the
 /// corners is found.
 const OUTSTANDING: f64 = 1.4;
-const CLEAR_PRESENCE: f64 = 0.6;
+const CLEAR_INLIER_RATIO: f64 = 0.6;
 
 /// Least inlier ratio among the corners in view; less is accepted if no other hypothesis comes
 /// near.
-const LEAST_PRESENCE: f64 = 0.5;
-const LEAST_CLEAR_PRESENCE: f64 = 0.3;
+const MIN_INLIER_RATIO: f64 = 0.5;
+const MIN_CLEAR_INLIER_RATIO: f64 = 0.3;
 
 /// A rival with at least this part of the best one's inliers leaves the choice to the prediction.
 const RIVAL: f64 = 0.75;
@@ -47,7 +47,7 @@ pub struct Recovery {
 }
 
 /// A keyframe found again.
-pub struct Found {
+pub struct RecoveredFrame {
     pub measurement: Measurement,
     /// Which of the remembered keyframes it was measured against; `None` is the present one.
     pub remembered: Option<usize>,
@@ -61,7 +61,7 @@ pub struct Lost<'a> {
     /// How many frames before this one were lost too.
     pub frames: usize,
     /// A measurement of this frame that few corners speak for.
-    pub doubtful: Option<Measurement>,
+    pub ambiguous: Option<Measurement>,
 }
 
 impl Recovery {
@@ -90,15 +90,16 @@ impl Recovery {
         config: &OdometryConfig,
         learned: &Learned,
         random: &mut Random,
-    ) -> Option<Found> {
+    ) -> Option<RecoveredFrame> {
         let now = self.registration.view(lost.pyramid, keyframe.mask.as_deref(), &lost.last.pose)?;
-        let search = Search { lost: &lost, now, registration: &self.registration, camera, config, learned };
+        let search =
+            RecoverySearch { lost: &lost, now, registration: &self.registration, camera, config, learned };
         let here = search.look(keyframe, random);
         let mut decided = here.decided;
-        let mut confirmed: Vec<Found> = here
+        let mut confirmed: Vec<RecoveredFrame> = here
             .measurements
             .into_iter()
-            .map(|measurement| Found { measurement, remembered: None })
+            .map(|measurement| RecoveredFrame { measurement, remembered: None })
             .collect();
         for index in choose(memory, &lost.expected, lost.frames, &mut self.tried) {
             if decided {
@@ -109,10 +110,12 @@ impl Recovery {
             memory.put_back_at(index, old);
             decided = there.decided;
             let found = there.measurements.into_iter();
-            confirmed.extend(found.map(|measurement| Found { measurement, remembered: Some(index) }));
+            confirmed
+                .extend(found.map(|measurement| RecoveredFrame { measurement, remembered: Some(index) }));
         }
         if !decided {
-            confirmed.extend(lost.doubtful.map(|measurement| Found { measurement, remembered: None }));
+            confirmed
+                .extend(lost.ambiguous.map(|measurement| RecoveredFrame { measurement, remembered: None }));
         }
         decide(confirmed, &lost.expected)
     }
@@ -137,7 +140,7 @@ fn choose(
 }
 
 /// A lost frame and what it is looked for with.
-struct Search<'a> {
+struct RecoverySearch<'a> {
     lost: &'a Lost<'a>,
     now: GroundView,
     registration: &'a CoarseRegistration,
@@ -153,7 +156,7 @@ struct Confirmed {
     decided: bool,
 }
 
-impl Search<'_> {
+impl RecoverySearch<'_> {
     /// Searches for the frame in a keyframe: near the expected heading first, then at any.
     fn look(&self, keyframe: &mut Keyframe, random: &mut Random) -> Confirmed {
         keyframe.prepare_view(self.registration);
@@ -180,14 +183,16 @@ impl Search<'_> {
             if hypothesis.score < LEAST_SCORE {
                 break;
             }
-            let Some((measurement, presence)) = self.confirm(keyframe, hypothesis, random) else { continue };
+            let Some((measurement, inlier_ratio)) = self.confirm(keyframe, hypothesis, random) else {
+                continue;
+            };
             let next = hypotheses.get(rank + 1).map_or(0.0, |next| next.score);
             let outstanding = rank == 0 && hypothesis.score > OUTSTANDING * next;
-            if presence < if outstanding { LEAST_CLEAR_PRESENCE } else { LEAST_PRESENCE } {
+            if inlier_ratio < if outstanding { MIN_CLEAR_INLIER_RATIO } else { MIN_INLIER_RATIO } {
                 continue;
             }
             measurements.push(measurement);
-            if presence > CLEAR_PRESENCE && outstanding {
+            if inlier_ratio > CLEAR_INLIER_RATIO && outstanding {
                 return Confirmed { measurements, decided: true };
             }
         }
@@ -207,24 +212,26 @@ impl Search<'_> {
         let heading_rad = last.heading_rad + wrap_angle(pose.heading_rad - last.heading_rad);
         let from = GroundPose { heading_rad, ..pose };
         let measurement =
-            follow::measure(keyframe, pyramid, self.camera, &from, self.config, self.learned, random).ok()?;
+            tracking::measure(keyframe, pyramid, self.camera, &from, self.config, self.learned, random)
+                .ok()?;
         let measurement = Measurement { prediction: self.lost.expected, ..measurement };
-        let presence = follow::presence(keyframe, self.camera, &measurement);
-        Some((measurement, presence))
+        let inlier_ratio = measurement.inlier_ratio(keyframe, self.camera);
+        Some((measurement, inlier_ratio))
     }
 }
 
 /// The measurement with most inliers; if another place has nearly as many, the one clearly nearer
 /// to the expected pose.
-fn decide(mut confirmed: Vec<Found>, expected: &GroundPose) -> Option<Found> {
-    let inliers = |found: &Found| found.measurement.estimate.inlier_count();
+fn decide(mut confirmed: Vec<RecoveredFrame>, expected: &GroundPose) -> Option<RecoveredFrame> {
+    let inliers = |found: &RecoveredFrame| found.measurement.estimate.inlier_count();
     confirmed.sort_by_key(|found| std::cmp::Reverse(inliers(found)));
     let best = confirmed.first()?;
     let best_pose = best.measurement.estimate.pose;
-    let elsewhere =
-        |found: &&Found| distance_m(&found.measurement.estimate.pose, &best_pose) > 0.02 * best_pose.height_m;
+    let elsewhere = |found: &&RecoveredFrame| {
+        distance_m(&found.measurement.estimate.pose, &best_pose) > 0.02 * best_pose.height_m
+    };
     let enough = RIVAL * inliers(best) as f64;
-    let away = |found: &Found| distance_m(&found.measurement.estimate.pose, expected);
+    let away = |found: &RecoveredFrame| distance_m(&found.measurement.estimate.pose, expected);
     let rival = confirmed
         .iter()
         .filter(elsewhere)
@@ -255,7 +262,7 @@ mod tests {
     use crate::motion::MotionEstimate;
     use nalgebra::Matrix6;
 
-    fn found(x_m: f64, inliers: usize) -> Found {
+    fn found(x_m: f64, inliers: usize) -> RecoveredFrame {
         let pose = GroundPose { x_m, ..GroundPose::level(1.0) };
         let estimate = MotionEstimate {
             pose,
@@ -271,13 +278,13 @@ mod tests {
             needs_relief: false,
             shutter: None,
         };
-        Found {
+        RecoveredFrame {
             measurement: Measurement {
                 estimate,
                 prediction: pose,
                 found: Buffer::new(),
                 support: 0.5,
-                settled: false,
+                refined: false,
                 agreement: None,
             },
             remembered: None,
@@ -285,7 +292,7 @@ mod tests {
     }
 
     /// Where the decision falls among places that so many corners speak for, expected at 0.
-    fn place(confirmed: Vec<Found>) -> Option<f64> {
+    fn place(confirmed: Vec<RecoveredFrame>) -> Option<f64> {
         decide(confirmed, &GroundPose::level(1.0)).map(|found| found.measurement.estimate.pose.x_m)
     }
 

@@ -98,9 +98,6 @@ impl ShutterState {
             readout,
             first: readout,
             phase: match camera.readout_s() {
-                Some(known_s) if camera.readout_deviation_s() > SURE * known_s.abs() => {
-                    ShutterDecision::Rolling
-                }
                 Some(_) => ShutterDecision::Settled,
                 None => ShutterDecision::Undecided,
             },
@@ -133,7 +130,7 @@ impl ShutterState {
     }
 
     /// The mean square of what the readout time that is taken may be off by, seconds².
-    pub fn readout_doubt_s2(&self) -> f64 {
+    pub fn readout_variance_s2(&self) -> f64 {
         let Readout { mean_s, variance_s2 } = self.readout;
         if self.phase == ShutterDecision::TakenGlobal { mean_s * mean_s + variance_s2 } else { variance_s2 }
     }
@@ -248,7 +245,7 @@ impl ShutterState {
         self.history.truncate(MOST_STEPS);
     }
 
-    /// Learns the readout time from a measured frame, once the next one tells its rates.
+    /// Learns the readout time from a measured frame, once the next one determines its rates.
     pub fn saw(
         &mut self,
         seen: &ShutterEstimate,
@@ -278,7 +275,7 @@ impl ShutterState {
     }
 
     /// Another keyframe serves from here on.
-    pub fn settle(&mut self) {
+    pub fn end_keyframe(&mut self) {
         self.waiting = None;
         let serving = std::mem::take(&mut self.serving);
         self.past = serving.iter().fold(self.past, |sum, line| sum.and(&line.sums()));
@@ -322,10 +319,11 @@ impl ShutterState {
 /// A weighted line through (rates, skew), with an instrument: frames against one keyframe share
 /// what its own skew is off by, so that each keyframe has a line of its own with the same slope.
 ///
-/// Foretold rates have errors, which would flatten the slope; an instrumental variable that follows
-/// the rates but not their errors does not (P. Wright, 1928; J. Sargan, 1958). An unknown tilt, a
-/// wrong lens and ground that slopes or bends look like a skew that grows with the displacement
-/// from the keyframe: where that explains the skews better than the rates do, no shutter rolls.
+/// Predicted rates have errors, which would flatten the slope; an instrumental variable that
+/// follows the rates but not their errors does not (P. Wright, 1928; J. Sargan, 1958). An unknown
+/// tilt, a wrong lens and ground that slopes or bends look like a skew that grows with the
+/// displacement from the keyframe: where that explains the skews better than the rates do, no
+/// shutter rolls.
 #[derive(Debug, Clone, Copy, Default)]
 struct SkewRegression {
     weight: f64,
@@ -406,7 +404,7 @@ impl RegressionSums {
         self.skew_square - 2.0 * slope * self.skew_rates + slope * slope * self.rates_square
     }
 
-    /// The slope and its variance; `None` where nothing tells it.
+    /// The slope and its variance; `None` where nothing determines it.
     fn slope(&self) -> Option<(f64, f64)> {
         if self.rates_instrument.abs() < 1e-12 || self.degrees < 3.0 {
             return None;

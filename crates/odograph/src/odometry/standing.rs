@@ -1,8 +1,8 @@
 //! What stands still in the image while the ground moves is no sign that the camera stands.
 
 use super::Odometry;
-use super::follow::Measurement;
 use super::last_pose::seen_apart;
+use super::tracking::Measurement;
 use crate::fixed_pattern::SinceLast;
 use crate::geometry::GroundPose;
 use crate::image::GrayImage;

@@ -1,8 +1,9 @@
 //! Choice of the next keyframe: an older one if the camera has returned to it, otherwise a new one.
 
+use super::found_corner::FoundCorner;
 use super::keyframe::Keyframe;
 use super::keyframe_event::Before;
-use super::{Odometry, follow};
+use super::{Odometry, tracking};
 use crate::geometry::GroundPose;
 use crate::image::Pyramid;
 use crate::keyframe::{EdgeKind, KeyframeId};
@@ -25,10 +26,11 @@ const LEISURE_FRAMES: u64 = 8;
 impl Odometry {
     /// Whether too little of the keyframe will be visible in the next frame, by the predicted
     /// motion.
-    pub(super) fn leaves_the_keyframe(&self, found: &[follow::Found], time_s: f64) -> bool {
+    pub(super) fn leaves_the_keyframe(&self, found: &[FoundCorner], time_s: f64) -> bool {
         let (Some(keyframe), Some(last)) = (&self.keyframe, &self.last) else { return false };
         let next = last.extrapolated(time_s + last.step_s);
-        follow::still_seen(keyframe, &self.camera, found, &next) < FORESEEN_SUPPORT * self.learned.findable()
+        tracking::still_seen(keyframe, &self.camera, found, &next)
+            < FORESEEN_SUPPORT * self.learned.findable()
     }
 
     /// Changes the keyframe: to an older one if the camera has returned to it, otherwise to this
@@ -93,9 +95,9 @@ impl Odometry {
         let spread_m = 4.0 * (covariance[(0, 0)] + covariance[(1, 1)]).sqrt();
         let position_m = spread_m.min(UNAMBIGUOUS_PX * pixel_m) + 2.0 * pixel_m;
         let heading_rad = 4.0 * covariance[(2, 2)].sqrt() + 0.005;
-        // What is further off would not be believed.
+        // What is further off would not be accepted.
         let off_px = position_m / pixel_m + 0.5 * heading_rad * self.camera.width() as f64;
-        let measured = follow::measure_near(
+        let measured = tracking::measure_near(
             &old,
             &pyramid,
             &self.camera,
@@ -116,7 +118,7 @@ impl Odometry {
             return Err(pyramid);
         };
         let found = measurement.estimate.pose;
-        self.tell_revisit(&old, (pose, &estimate.covariance), (&found, &measurement.estimate.covariance));
+        self.record_revisit(&old, (pose, &estimate.covariance), (&found, &measurement.estimate.covariance));
         self.serve_from_here(old.id, found);
         if let Some(before) = self.keyframe.replace(old) {
             self.memory.remember(before.retire());
@@ -138,7 +140,7 @@ impl Odometry {
         self.serves_since = self.frames;
         self.keyframe_off = PoseRates::zeros();
         self.own_by_readout = PoseRates::zeros();
-        self.learned.settle_shutter();
+        self.learned.end_shutter_keyframe();
         if let (Some(reference), Some(keyframe)) = (&mut self.reference, keyframe) {
             reference.next = Some((keyframe, pose));
         }

@@ -1,5 +1,5 @@
 //! The surface of ground that is not flat: elevations between points where they are known, by
-//! ordinary kriging with a power variogram that the points themselves tell (G. Matheron, 1963;
+//! ordinary kriging with a power variogram fitted to the points themselves (G. Matheron, 1963;
 //! N. Cressie, "Statistics for Spatial Data", 1993).
 
 use crate::geometry::GroundPoint;
@@ -157,7 +157,7 @@ impl Variogram {
     }
 }
 
-/// Points whose own variance is below this part of that of all elevations tell the variogram.
+/// Points whose own variance is below this part of that of all elevations determine the variogram.
 const WELL_KNOWN: f64 = 0.25;
 
 #[cfg(test)]
@@ -186,7 +186,7 @@ mod tests {
     }
 
     #[test]
-    fn gravel_tells_nothing_between_its_stones() {
+    fn gravel_determines_nothing_between_its_stones() {
         let stone = |x: f64, y: f64| 0.005 * (1e4 * (x * 7.1 + y * 3.3)).sin();
         let surface = surface(stone);
         assert!(!surface.is_smooth());

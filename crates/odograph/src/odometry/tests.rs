@@ -233,7 +233,7 @@ fn a_moving_camera_is_expected_where_it_would_be_after_darkness() {
 }
 
 #[test]
-fn a_lens_that_is_not_told_costs_exactness_but_no_frame() {
+fn an_unknown_lens_costs_exactness_but_no_frame() {
     // A field of view instead of a camera file: tracks at the border deviate by more than the
     // inlier distance.
     let world = World::new("asphalt");
@@ -246,7 +246,7 @@ fn a_lens_that_is_not_told_costs_exactness_but_no_frame() {
 }
 
 #[test]
-fn a_steady_tilt_that_is_not_told_is_learned() {
+fn a_steady_unknown_tilt_is_learned() {
     let world = World::new("grass");
     let tilted = |i: usize| {
         at(0.017 * i as f64, 0.0, 0.0).map(|pose| GroundPose { roll_rad: 0.005, pitch_rad: 0.004, ..pose })
@@ -505,8 +505,8 @@ fn a_bumper_that_takes_all_corners_is_not_followed() {
 #[test]
 fn a_mask_of_another_size_is_refused() {
     let world = World::new("asphalt");
-    let told = world.odometry().with_mask(&GrayImage::new(320, 240)).unwrap_err().to_string();
-    assert!(told.contains("320x240") && told.contains("640x480"), "{told}");
+    let message = world.odometry().with_mask(&GrayImage::new(320, 240)).unwrap_err().to_string();
+    assert!(message.contains("320x240") && message.contains("640x480"), "{message}");
     // All black: no ground is left.
     assert!(world.odometry().with_mask(&GrayImage::new(640, 480)).is_err());
 }

@@ -7,7 +7,7 @@ use std::sync::Arc;
 
 /// What can be made of an image's corners.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
-pub enum Texture {
+pub enum TextureClass {
     /// They can be followed.
     Clear,
     /// Hardly any corner exceeds the noise: the whole image is registered and, if that fails, its
@@ -17,7 +17,7 @@ pub enum Texture {
     Faint,
 }
 
-impl Texture {
+impl TextureClass {
     /// Classifies an image two pyramid levels up, where the sensor's noise is averaged, outside the
     /// mask.
     pub fn of(pyramid: &Pyramid, mask: Option<&Arc<ImageMask>>) -> Self {

@@ -157,8 +157,8 @@ impl PlaceIndex {
             .into_iter()
             .map(|(keyframe, slot, support)| {
                 // A weak hypothesis needs no test for ambiguity.
-                let told = support.worth >= WORTH_A_RIVAL;
-                let rival = told.then(|| rival(&query, &slot.features, &support)).flatten();
+                let is_relevant = support.worth >= WORTH_A_RIVAL;
+                let rival = is_relevant.then(|| rival(&query, &slot.features, &support)).flatten();
                 let (worth, rival_worth) = (support.worth.into(), rival.map_or(0.0, |r| r.worth.into()));
                 let Placing { shift, heading_rad, scale } = support.placing;
                 let [x, y] = shift.map(|spots| f64::from(spots) * self.spot_m);

@@ -292,8 +292,8 @@ pub(super) fn rival(query: &Features, keyframe: &Features, best: &Support) -> Op
     // matched share of the overlap.
     let as_much_ground = |found: Support| {
         let more = best.shared as f32 / found.shared.max(1) as f32;
-        let told = found.matches >= LEAST_TO_EXTRAPOLATE;
-        Support { worth: found.worth * if told { more.max(1.0) } else { 1.0 }, ..found }
+        let are_enough = found.matches >= LEAST_TO_EXTRAPOLATE;
+        Support { worth: found.worth * if are_enough { more.max(1.0) } else { 1.0 }, ..found }
     };
     let tried = groups.into_iter().map(placing).filter(other).take(MOST_TRIED);
     let found = tried.filter_map(|placing| support(query, keyframe, placing)).filter(|s| other(&s.placing));

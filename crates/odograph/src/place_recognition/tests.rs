@@ -82,7 +82,7 @@ fn a_place_is_recognised_under_shift_rotation_and_tilt() {
         // to a spot or two where it is seen askew.
         let (off_m, off_rad) = error(best, keyframe, &query);
         assert!(off_m < 0.006 && off_rad < 0.01, "{off_m} m {off_rad} rad: {best:?}");
-        assert!(best.motion[3].abs() < 0.01, "the heights were told truly: {best:?}");
+        assert!(best.motion[3].abs() < 0.01, "the given heights were true: {best:?}");
     }
 }
 

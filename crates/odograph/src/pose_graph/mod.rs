@@ -117,7 +117,7 @@ impl PoseGraph {
     }
 
     /// Resets the estimate of the mount's rotation: the next optimisation tests it again.
-    pub fn doubt_mount(&mut self) {
+    pub fn reset_mount(&mut self) {
         self.mount_turns = false;
         self.asked_of_loops = 0;
         self.turn_per_m = Vector2::zeros();

@@ -53,7 +53,8 @@ struct GraphPath {
 /// A path that may be the most certain to its end.
 #[derive(Debug, Clone)]
 struct OpenPath {
-    doubt: f64,
+    /// Variance of the position of its end, metres², with that of the heading at a lever arm.
+    variance_m2: f64,
     node: usize,
     way: u32,
 }
@@ -72,7 +73,7 @@ impl PartialOrd for OpenPath {
 impl Ord for OpenPath {
     fn cmp(&self, other: &Self) -> Ordering {
         // The heap returns the greatest first.
-        other.doubt.total_cmp(&self.doubt).then(other.node.cmp(&self.node))
+        other.variance_m2.total_cmp(&self.variance_m2).then(other.node.cmp(&self.node))
     }
 }
 
@@ -88,7 +89,7 @@ impl PoseGraph {
         Some(Reach {
             graph: self,
             root,
-            open: BinaryHeap::from([OpenPath { doubt: 0.0, node: root, way: 0 }]),
+            open: BinaryHeap::from([OpenPath { variance_m2: 0.0, node: root, way: 0 }]),
             ways,
             way_to: vec![None; self.nodes.len()],
         })
@@ -117,8 +118,8 @@ impl Reach<'_> {
         for &edge in &self.graph.edges_at[node] {
             let other = self.graph.edges[edge].other(node);
             if self.way_to[other].is_none() {
-                let (further, doubt) = self.along(&self.ways[way as usize], edge);
-                self.open.push(OpenPath { doubt, node: other, way: self.ways.len() as u32 });
+                let (further, variance_m2) = self.along(&self.ways[way as usize], edge);
+                self.open.push(OpenPath { variance_m2, node: other, way: self.ways.len() as u32 });
                 self.ways.push(further);
             }
         }
@@ -166,10 +167,10 @@ impl Reach<'_> {
         }
         let variance = |i: usize| noise[(i, i)] + graph.turn_sigma.powi(2) * by_mount.row(i).norm_squared();
         // Position, and heading at a lever arm of the camera's height, about the size of the view.
-        let doubt = variance(X) + variance(Y) + variance(HEADING) * here.height_m.powi(2);
+        let variance_m2 = variance(X) + variance(Y) + variance(HEADING) * here.height_m.powi(2);
         let across_gap = way.across_gap || edge.kind == EdgeKind::Gap;
         let node = edge.other(way.node);
-        (GraphPath { node, noise, by_mount, edges: way.edges + 1, across_gap }, doubt)
+        (GraphPath { node, noise, by_mount, edges: way.edges + 1, across_gap }, variance_m2)
     }
 }
 

@@ -1,5 +1,5 @@
 use super::*;
-use crate::keyframe::relative_pose::seen_from;
+use crate::keyframe::relative_pose::relative_motion;
 use crate::motion::Random;
 use nalgebra::{Matrix4, Vector4};
 
@@ -38,7 +38,7 @@ fn grid(side: usize, sigma: f64, bend_per_m: f64, heights: Heights) -> GridWalk 
     let truth: Vec<GroundPose> = (0..side * side).map(place).collect();
     let mut edges = Vec::new();
     let mut measure = |from: usize, to: usize, kind| {
-        let mut motion = seen_from(&truth[from], &truth[to]);
+        let mut motion = relative_motion(&truth[from], &truth[to]);
         let turned = bend_per_m * motion[0];
         let (sin, cos) = (0.5 * turned).sin_cos();
         let (x, y) = (motion[0], motion[1]);
@@ -68,7 +68,7 @@ fn dead_reckoned(edges: &[MapEdge], truth: &[GroundPose], heights: Heights) -> P
         if edge.kind == EdgeKind::Odometry {
             // The motions were measured at the true heights.
             let [from, to] = [edge.from, edge.to].map(|id| truth[id.0 as usize].height_m);
-            last = crate::keyframe::relative_pose::laid_from(&last, &edge.motion, last.height_m / from);
+            last = crate::keyframe::relative_pose::compose(&last, &edge.motion, last.height_m / from);
             graph.insert(edge.to, last, to);
         }
         assert!(graph.tie(edge));
@@ -198,7 +198,7 @@ fn a_large_graph_comes_near_its_best_by_pieces() {
     for edge in &edges {
         if edge.kind == EdgeKind::Odometry {
             let from = graph.pose(edge.from).unwrap();
-            graph.insert(edge.to, crate::keyframe::relative_pose::laid_from(&from, &edge.motion, 1.0), 1.0);
+            graph.insert(edge.to, crate::keyframe::relative_pose::compose(&from, &edge.motion, 1.0), 1.0);
         }
         assert!(graph.tie(edge));
         fresh.extend((edge.kind == EdgeKind::Loop).then_some(*edge));
@@ -228,7 +228,7 @@ fn a_large_graph_estimates_the_mount_turn_while_running() {
     for edge in &edges {
         if edge.kind == EdgeKind::Odometry {
             let from = graph.pose(edge.from).unwrap();
-            graph.insert(edge.to, crate::keyframe::relative_pose::laid_from(&from, &edge.motion, 1.0), 1.0);
+            graph.insert(edge.to, crate::keyframe::relative_pose::compose(&from, &edge.motion, 1.0), 1.0);
         }
         assert!(graph.tie(edge));
         // Asked for only when the graph is too large for being optimised as a whole.

@@ -4,7 +4,7 @@ use super::Mapper;
 use crate::error::Result;
 use crate::geometry::WithCovariance;
 use crate::ground_map::KeyframeStore;
-use crate::keyframe::relative_pose::{inverse, laid_from, similarity};
+use crate::keyframe::relative_pose::{compose, inverse, similarity};
 use crate::keyframe::{KeyframeId, MapEdge};
 use crate::loop_closure::candidates::{self, Strength};
 use crate::loop_closure::matching::{Pictured, Sought};
@@ -76,8 +76,8 @@ impl Mapper {
         }
         // Registering whole images takes longest: only if the position is nearly known and
         // appearance found nothing.
-        let doubtful = near.iter().find(|candidate| candidate.prior.strength == Strength::Doubtful);
-        if let Some(candidate) = doubtful.filter(|_| self.patience.is_worth_it())
+        let uncertain = near.iter().find(|candidate| candidate.prior.strength == Strength::Uncertain);
+        if let Some(candidate) = uncertain.filter(|_| self.patience.is_worth_it())
             && let Some(mut pictured) = self.pictured(candidate.id, images)?
         {
             let closure =
@@ -153,7 +153,7 @@ impl Mapper {
         if let (Some(old), Some(measured_m)) = (self.graph.pose(edge.to), self.measured_m(edge.from, edge.to))
         {
             // A part of the map that is not connected yet is moved to where it was seen.
-            let seen = laid_from(&old, &inverse(&edge.motion, measured_m), old.height_m / measured_m[1]);
+            let seen = compose(&old, &inverse(&edge.motion, measured_m), old.height_m / measured_m[1]);
             self.graph.bring(edge.from, &seen, edge.to);
         }
         self.closures.push(closure);

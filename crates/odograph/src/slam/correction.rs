@@ -71,7 +71,7 @@ impl Stretches {
 
     /// The second pass over the same frames.
     pub fn straightening<'a>(&'a self, mapper: &'a Mapper) -> Straightening<'a> {
-        Straightening { mapper, rest: &self.stretches, index: 0, laid: None }
+        Straightening { mapper, rest: &self.stretches, index: 0, group: None }
     }
 }
 
@@ -83,7 +83,7 @@ pub struct Straightening<'a> {
     rest: &'a [Stretch],
     index: usize,
     /// The correction of the first of them; `None` until it is needed.
-    laid: Option<GroupCorrection<'a>>,
+    group: Option<GroupCorrection<'a>>,
 }
 
 /// The correction of a group of frames.
@@ -104,14 +104,14 @@ impl<'a> Straightening<'a> {
         else {
             return frame;
         };
-        let laid = *self.laid.get_or_insert_with(|| GroupCorrection::new(self.mapper, stretch));
-        if let (Some(known), Some(here)) = (&mut frame.estimate, laid.here) {
+        let group = *self.group.get_or_insert_with(|| GroupCorrection::new(self.mapper, stretch));
+        if let (Some(known), Some(here)) = (&mut frame.estimate, group.here) {
             // The last frame of a group is where the next keyframe has it.
             let share = (index - stretch.first + 1) as f64 / stretch.count as f64;
-            corrected(known, &here.map_from_odometry(), laid.end.as_ref().map(|end| (end, share)), here);
+            corrected(known, &here.map_from_odometry(), group.end.as_ref().map(|end| (end, share)), here);
         }
         if index + 1 == stretch.first + stretch.count {
-            (self.rest, self.laid) = (&self.rest[1..], None);
+            (self.rest, self.group) = (&self.rest[1..], None);
         }
         frame
     }

@@ -5,7 +5,7 @@ use super::Mapper;
 use super::correction::measured;
 use crate::geometry::pose_index::{X, Y};
 use crate::geometry::{GroundPose, Sim2};
-use crate::keyframe::relative_pose::seen_from;
+use crate::keyframe::relative_pose::relative_motion;
 use crate::keyframe::{EdgeKind, KeyframeId};
 use crate::odometry::FrameReference;
 use crate::trajectory::FrameEstimate;
@@ -57,7 +57,7 @@ impl Mapper {
                 edge.motion[X] *= scale;
                 edge.motion[Y] *= scale;
             } else {
-                edge.motion = seen_from(from, to);
+                edge.motion = relative_motion(from, to);
             }
         }
         self.rebuild();

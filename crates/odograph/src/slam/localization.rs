@@ -6,7 +6,7 @@ use crate::geometry::GroundPose;
 use crate::ground_map::KeyframeImages;
 use crate::image::GrayImage;
 use crate::keyframe::KeyframeId;
-use crate::keyframe::relative_pose::{inverse, laid_from};
+use crate::keyframe::relative_pose::{compose, inverse};
 use crate::loop_closure::recognition::recognise;
 use crate::loop_closure::verification;
 use nalgebra::Matrix4;
@@ -24,7 +24,7 @@ pub struct Located {
     /// Number of matched corners.
     pub inliers: usize,
     /// Inlier ratio: the matched share of the corners in the overlap, 0 to 1.
-    pub presence: f64,
+    pub inlier_ratio: f64,
 }
 
 impl Mapper {
@@ -70,13 +70,13 @@ impl Mapper {
             if let Some(seen) = seen {
                 let scale = known.pose.height_m / known.odometry_pose.height_m;
                 let measured_m = [leaning.height_m, known.odometry_pose.height_m];
-                let laid = laid_from(&known.pose, &inverse(&seen.edge.motion, measured_m), scale);
+                let placed = compose(&known.pose, &inverse(&seen.edge.motion, measured_m), scale);
                 return Ok(Some(Located {
-                    pose: GroundPose { roll_rad: leaning.roll_rad, pitch_rad: leaning.pitch_rad, ..laid },
+                    pose: GroundPose { roll_rad: leaning.roll_rad, pitch_rad: leaning.pitch_rad, ..placed },
                     keyframe: place.id,
                     covariance: seen.edge.covariance,
                     inliers: seen.inliers,
-                    presence: seen.presence,
+                    inlier_ratio: seen.inlier_ratio,
                 }));
             }
         }

@@ -204,7 +204,7 @@ impl Mapper {
 
     /// Ends the session: optimises all poses and computes their covariances.
     pub fn finish(&mut self) {
-        self.graph.doubt_mount();
+        self.graph.reset_mount();
         if !self.is_straightened() {
             return;
         }

@@ -36,12 +36,12 @@ pub fn merge(
         return Err(Error::input("the two maps were made with different cameras and cannot be joined"));
     }
     mapper.own_loops = false;
-    let mut laid = BTreeSet::new();
+    let mut inserted = BTreeSet::new();
     for keyframe in &other.keyframes {
-        laid.insert(keyframe.id);
+        inserted.insert(keyframe.id);
         let at_it = |edge: &&MapEdge| edge.from == keyframe.id || edge.to == keyframe.id;
         let ties = other.edges.iter().filter(at_it);
-        let ties = ties.filter(|edge| laid.contains(&edge.from) && laid.contains(&edge.to));
+        let ties = ties.filter(|edge| inserted.contains(&edge.from) && inserted.contains(&edge.to));
         let ties: Vec<MapEdge> = ties.map(|edge| mapper.renumbered(*edge)).collect();
         let image = other_images.load(keyframe.id)?;
         let new = NewKeyframe {

@@ -60,7 +60,7 @@ impl Slam {
     ) -> Result<Self> {
         let mapper = Mapper::new(&camera, rig, &odometry, config);
         let mut odometry = Odometry::new(camera, rig, odometry)?;
-        odometry.tell_keyframes();
+        odometry.record_keyframes();
         Ok(Self { odometry, mapper, images })
     }
 

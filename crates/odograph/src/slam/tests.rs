@@ -1,6 +1,6 @@
 use super::*;
 use crate::ground_map::{GroundMap, KeyframeImages, MemoryImages};
-use crate::keyframe::relative_pose::{laid_from, seen_from};
+use crate::keyframe::relative_pose::{compose, relative_motion};
 use crate::keyframe::{EdgeKind, KeyframeId, MapEdge};
 use crate::motion::Random;
 use crate::odometry::{KeyframeEvent, NewKeyframe};
@@ -74,7 +74,7 @@ impl SlamWorld {
     /// again is for the map to find.
     fn drive(&self, mapper: &mut Mapper, images: &mut MemoryImages, poses: &[Option<GroundPose>]) -> Driven {
         let mut odometry = Odometry::new(self.camera.clone(), Rig::level(HEIGHT_M), config()).unwrap();
-        odometry.tell_keyframes();
+        odometry.record_keyframes();
         let (mut frames, mut references) = (Vec::new(), Vec::new());
         for (number, pose) in poses.iter().enumerate() {
             let image = self.image(*pose, number as u64);
@@ -263,7 +263,7 @@ fn bent_lanes() -> (Vec<GroundPose>, Vec<MapEdge>) {
     };
     let truth: Vec<GroundPose> = (0..32).map(place).collect();
     let tie = |i: usize| {
-        let mut motion = seen_from(&truth[i - 1], &truth[i]) * 1.001;
+        let mut motion = relative_motion(&truth[i - 1], &truth[i]) * 1.001;
         motion[2] += 0.003;
         let sigmas = Vector4::new(1e-3, 1e-3, 3e-3, 0.0);
         let covariance = Matrix4::from_diagonal(&sigmas.component_mul(&sigmas));
@@ -284,7 +284,7 @@ fn bent_lanes_that_see_each_other_come_out_straight() {
     for (i, place) in truth.iter().enumerate() {
         let tie = i.checked_sub(1).map(|before| ties[before]);
         if let Some(tie) = &tie {
-            pose = laid_from(&pose, &tie.motion, 1.0);
+            pose = compose(&pose, &tie.motion, 1.0);
         }
         bent_m = bent_m.max(off_m(&pose, place));
         let new = NewKeyframe {
@@ -309,7 +309,7 @@ fn bent_lanes_that_see_each_other_come_out_straight() {
     assert!(mapper.closures().len() > 5, "{} loops", mapper.closures().len());
     for closure in mapper.closures() {
         let [from, to] = [closure.edge.from, closure.edge.to].map(|id| &truth[id.0 as usize]);
-        let off = seen_from(from, to) - closure.edge.motion;
+        let off = relative_motion(from, to) - closure.edge.motion;
         assert!(off[0].hypot(off[1]) < 6e-4, "{closure:?} is off by {off}");
     }
 }

@@ -7,7 +7,7 @@ use std::collections::VecDeque;
 use std::path::Path;
 
 /// A frame or image to search for the board.
-pub struct Look {
+pub struct SearchedImage {
     /// Its number among all that are searched, from 0.
     pub number: u64,
     /// Its name for people: the name of the picture, or the frame and its time.
@@ -73,7 +73,7 @@ impl Input {
     /// The next frame; `None` at the end.
     ///
     /// Fails if a source cannot be read or its size differs from that of the first.
-    pub fn next(&mut self) -> Result<Option<Look>> {
+    pub fn next(&mut self) -> Result<Option<SearchedImage>> {
         loop {
             let Some((source, place)) = &mut self.open else { return Ok(None) };
             if let Some(frame) = source.next_frame()? {
@@ -84,7 +84,7 @@ impl Input {
                     (None, false) => format!("{place}, frame {}", frame.number),
                 };
                 self.number += 1;
-                return Ok(Some(Look {
+                return Ok(Some(SearchedImage {
                     number: self.number - 1,
                     name,
                     // The times of several sources do not follow each other.

@@ -2,7 +2,10 @@
 //! next, until the result is good.
 
 use super::search::{Gathering, look};
-use super::{CalibrateArguments, CalibrationResult, SearchedSource, conclude, input::Look, output::Output};
+use super::{
+    CalibrateArguments, CalibrationResult, SearchedSource, conclude, input::SearchedImage,
+    output::CalibrationOutput,
+};
 use crate::commands::live::{Offer, Serving};
 use crate::{Outcome, interrupt};
 use odograph::error::{Error, Result};
@@ -11,7 +14,7 @@ use odograph::image::GrayImage;
 use odograph::mosaic::Mosaic;
 use odograph::numerics::median;
 use odograph::odometry::TrackView;
-use odograph_calibration::selection::{Coverage, Guidance, LEAST_VIEWS, SelectionConfig, ViewSelector};
+use odograph_calibration::selection::{Guidance, LEAST_VIEWS, SelectionConfig, ViewCoverage, ViewSelector};
 use odograph_calibration::{Board, BoardFinder, BoardView, Calibration, CalibrationConfig, Verdict};
 use odograph_live::capture::{Captured, Newest, Taken, Watch, without_credentials};
 use odograph_live::{Hub, Introduction, Phase, Status, View};
@@ -50,7 +53,7 @@ pub fn is_asked(arguments: &CalibrateArguments) -> Result<bool> {
 pub fn calibrate(
     arguments: &CalibrateArguments,
     board: Board,
-    output: &Output,
+    output: &CalibrationOutput,
     selection: SelectionConfig,
 ) -> Result<Outcome> {
     let watch = Watch::default();
@@ -70,7 +73,7 @@ pub fn calibrate(
     let hub = Arc::new(Hub::new(introduction, Arc::new(no_ground)));
     let serving = Serving::start(&arguments.serve, hub, offer(output))?;
     if !arguments.quiet {
-        serving.tell_where("");
+        serving.print_address("");
     }
     let started = Instant::now();
     let queue = Arc::new(Newest::new(opened.policy, FRAMES_WAITING));
@@ -86,7 +89,7 @@ pub fn calibrate(
         gathering,
         guidance: None,
         guided: None,
-        told: None,
+        sent: None,
         trial: Trial::default(),
         rate: Rate::default(),
     };
@@ -94,7 +97,7 @@ pub fn calibrate(
     watch.end();
     queue.close();
     let farewell = ended.recv_timeout(FAREWELL).unwrap_or_default();
-    showing.tell_status(Phase::Saving);
+    showing.send_status(Phase::Saving);
     let mut search = showing.gathering.finished();
     search.warnings.extend(farewell.warnings);
     // A lost camera ends the calibration; the views until then may suffice.
@@ -118,9 +121,9 @@ pub fn calibrate(
                 .unwrap_or(error));
         }
     };
-    tell_result(serving.hub(), &calibrated);
+    send_result(serving.hub(), &calibrated);
     serving.set_phase(Phase::Saved, None);
-    let outcome = super::tell(arguments, &calibrated, output)?;
+    let outcome = super::print_summary(arguments, &calibrated, output)?;
     if !interrupt::asked() {
         serving.linger(arguments.quiet);
     }
@@ -140,7 +143,7 @@ fn open(arguments: &CalibrateArguments, watch: &Watch) -> Result<LiveInput> {
 }
 
 /// The camera file, and the report if it is below the same folder.
-fn offer(output: &Output) -> Offer {
+fn offer(output: &CalibrationOutput) -> Offer {
     let camera = output.camera_file();
     let folder = match camera.parent() {
         Some(folder) if folder != Path::new("") => folder.to_owned(),
@@ -164,7 +167,7 @@ struct Showing<'a> {
     gathering: Gathering,
     guidance: Option<Guidance>,
     guided: Option<Instant>,
-    told: Option<Instant>,
+    sent: Option<Instant>,
     trial: Trial,
     rate: Rate,
 }
@@ -179,10 +182,10 @@ impl Showing<'_> {
                 Taken::End => break,
             }
             self.trial.collect();
-            if self.told.is_none_or(|told| told.elapsed() >= STATUS_EVERY) {
-                self.told = Some(Instant::now());
+            if self.sent.is_none_or(|sent| sent.elapsed() >= STATUS_EVERY) {
+                self.sent = Some(Instant::now());
                 let waits = self.watch.waiting().is_some();
-                self.tell_status(if waits { Phase::Waiting } else { Phase::Running });
+                self.send_status(if waits { Phase::Waiting } else { Phase::Running });
             }
         }
         self.trial.wait();
@@ -194,8 +197,10 @@ impl Showing<'_> {
         let name = format!("frame {} ({:.2} s)", frame.number, frame.time_s);
         let shown = (self.hub.viewers() > 0).then(|| frame.gray.clone());
         let image = frame.gray;
-        let looked =
-            look(&self.finder, Look { number, name, time_s: Some(frame.time_s), picture: false, image });
+        let looked = look(
+            &self.finder,
+            SearchedImage { number, name, time_s: Some(frame.time_s), picture: false, image },
+        );
         let (points, why) = match looked.view() {
             Ok(view) => (corners(view), None),
             Err(why) => (Vec::new(), Some(why.to_string())),
@@ -209,7 +214,7 @@ impl Showing<'_> {
         if seen && self.guided.is_none_or(|guided| guided.elapsed() >= GUIDED_EVERY) {
             self.guide();
         }
-        self.tell(why);
+        self.send(why);
     }
 
     fn show(&self, number: usize, gray: &GrayImage, points: &[TrackView]) {
@@ -229,23 +234,23 @@ impl Showing<'_> {
         self.guidance = Some(guidance);
     }
 
-    fn tell(&self, why: Option<String>) {
+    fn send(&self, why: Option<String>) {
         let (looked_at, with_board) = self.gathering.counts();
         let coverage = self.guidance.as_ref().map_or(&[][..], |guidance| &guidance.coverage.points);
         let missing: Vec<String> =
             self.guidance.iter().flat_map(|guidance| &guidance.missing).map(ToString::to_string).collect();
-        self.hub.tell(
+        self.hub.notify(
             "calibration",
             &json!({
                 "board": self.board.to_string(), "why": why, "looked_at": looked_at, "with_board": with_board,
                 "views": self.guidance.as_ref().map_or(0, |guidance| guidance.views),
-                "columns": Coverage::COLUMNS, "rows": Coverage::ROWS, "coverage": coverage, "missing": missing,
+                "columns": ViewCoverage::COLUMNS, "rows": ViewCoverage::ROWS, "coverage": coverage, "missing": missing,
                 "trying": self.trial.runs(), "tried": self.trial.said(), "verdict": null,
             }),
         );
     }
 
-    fn tell_status(&mut self, phase: Phase) {
+    fn send_status(&mut self, phase: Phase) {
         let (captured, dropped) = self.queue.counts();
         let [fps, latency_median_ms] = self.rate.recent();
         self.hub.set_status(Status {
@@ -269,17 +274,17 @@ fn corners(view: &BoardView) -> Vec<TrackView> {
     view.points.iter().map(|point| shown(point.pixel)).collect()
 }
 
-fn tell_result(hub: &Hub, calibrated: &CalibrationResult) {
+fn send_result(hub: &Hub, calibrated: &CalibrationResult) {
     let (calibration, found) = (&calibrated.calibration, &calibrated.search.found);
     let missing: Vec<String> = match calibration.verdict {
         Verdict::Good => Vec::new(),
         _ => calibrated.guidance.missing.iter().map(ToString::to_string).collect(),
     };
-    hub.tell(
+    hub.notify(
         "calibration",
         &json!({
             "board": calibrated.board.to_string(), "why": null, "looked_at": found.looked_at, "with_board": found.with_board,
-            "views": calibration.views_used(), "columns": Coverage::COLUMNS, "rows": Coverage::ROWS,
+            "views": calibration.views_used(), "columns": ViewCoverage::COLUMNS, "rows": ViewCoverage::ROWS,
             "coverage": calibrated.guidance.coverage.points, "missing": missing, "trying": false,
             "tried": said(calibration), "verdict": calibration.verdict.to_string(),
         }),

@@ -1,5 +1,6 @@
 //! `odograph calibrate`: computes a camera file from views of a board, and a report on its quality.
 
+mod focal_length;
 mod input;
 mod live;
 mod output;
@@ -15,7 +16,7 @@ use odograph_calibration::{
     Board, BoardView, Calibration, CalibrationConfig, LensModel, Verdict, nothing_found,
 };
 use odograph_video::SourceOptions;
-use output::Output;
+use output::CalibrationOutput;
 use search::BoardSearch;
 use std::fmt::Display;
 use std::path::PathBuf;
@@ -158,7 +159,8 @@ struct CalibrationResult {
 /// Runs the command.
 pub fn calibrate(arguments: CalibrateArguments) -> Result<Outcome> {
     let board: Board = arguments.board.parse()?;
-    let output = Output::new(&arguments.camera_file(), arguments.report.as_deref(), arguments.force)?;
+    let output =
+        CalibrationOutput::new(&arguments.camera_file(), arguments.report.as_deref(), arguments.force)?;
     let selection =
         SelectionConfig { most_views: usize::from(arguments.max_views), ..SelectionConfig::default() };
     if live::is_asked(&arguments)? {
@@ -183,7 +185,7 @@ pub fn calibrate(arguments: CalibrateArguments) -> Result<Outcome> {
             .push(format!("interrupted: only the first {} frames were looked at", search.found.looked_at));
     }
     output.write(&calibrated)?;
-    tell(&arguments, &calibrated, &output)
+    print_summary(&arguments, &calibrated, &output)
 }
 
 /// What was searched, and how long that took.
@@ -235,7 +237,11 @@ fn conclude(
 }
 
 /// Prints the result; returns the outcome.
-fn tell(arguments: &CalibrateArguments, calibrated: &CalibrationResult, output: &Output) -> Result<Outcome> {
+fn print_summary(
+    arguments: &CalibrateArguments,
+    calibrated: &CalibrationResult,
+    output: &CalibrationOutput,
+) -> Result<Outcome> {
     calibrated.search.warnings.iter().for_each(|warning| console::warn(warning));
     if arguments.json {
         console::print(&summary::json(calibrated))?;

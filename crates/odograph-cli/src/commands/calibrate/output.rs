@@ -1,6 +1,7 @@
 //! The camera file and the folder of its report.
 
-use super::{CalibrationResult, summary};
+use super::CalibrationResult;
+use super::focal_length::focal_px;
 use crate::files;
 use crate::report::calibration::{CalibrationReport, ExpectedError, ReprojectionError, ShownView};
 use odograph::error::{Error, Result};
@@ -12,14 +13,14 @@ use std::path::{Path, PathBuf};
 const PAGE: &str = "report.html";
 
 /// Where the results go.
-pub struct Output {
+pub struct CalibrationOutput {
     camera_file: PathBuf,
     report: PathBuf,
     /// Folders that were created for it, the innermost first.
     made: Vec<PathBuf>,
 }
 
-impl Drop for Output {
+impl Drop for CalibrationOutput {
     /// Removes folders that were created for results that were not written, if they are empty.
     fn drop(&mut self) {
         for folder in &self.made {
@@ -28,7 +29,7 @@ impl Drop for Output {
     }
 }
 
-impl Output {
+impl CalibrationOutput {
     /// Fails if results exist and `force` does not allow replacing them, or if they cannot be
     /// written.
     pub fn new(camera_file: &Path, report: Option<&Path>, force: bool) -> Result<Self> {
@@ -90,7 +91,7 @@ impl Output {
             found: &calibrated.search.found,
             camera: &calibration.camera,
             model: calibration.model,
-            focal_px: summary::focal_px(calibration),
+            focal_px: focal_px(calibration),
             parameters: &calibration.parameters,
             rms_px: calibration.rms_px,
             hold_out_rms_px: calibration.hold_out_rms_px,

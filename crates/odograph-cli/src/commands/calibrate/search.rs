@@ -1,7 +1,7 @@
 //! Decode | find the board | choose, side by side. The order of frames is kept, so any number of
 //! threads gives the same result.
 
-use super::input::{Input, Look};
+use super::input::{Input, SearchedImage};
 use crate::interrupt;
 use crate::report::calibration::BoardDetections;
 use indicatif::{ProgressBar, ProgressStyle};
@@ -85,7 +85,7 @@ fn side_by_side(
     threads: usize,
 ) -> Result<()> {
     thread::scope(|scope| -> Result<()> {
-        let (frames_in, frames_out) = mpsc::sync_channel::<Look>(threads);
+        let (frames_in, frames_out) = mpsc::sync_channel::<SearchedImage>(threads);
         let (looked_in, looked_out) = mpsc::sync_channel::<(u64, Looked)>(threads);
         let decoder = scope.spawn(move || -> Result<()> {
             while let Some(frame) = next(input)? {
@@ -125,12 +125,12 @@ fn side_by_side(
     })
 }
 
-fn next(input: &mut Input) -> Result<Option<Look>> {
+fn next(input: &mut Input) -> Result<Option<SearchedImage>> {
     if interrupt::asked() { Ok(None) } else { input.next() }
 }
 
 /// Looks for the board in a frame.
-pub fn look(finder: &BoardFinder, frame: Look) -> Looked {
+pub fn look(finder: &BoardFinder, frame: SearchedImage) -> Looked {
     let outcome = finder.find(&frame.image).map(|view| {
         let blur_px = blur_px(&frame.image, &view);
         (view, blur_px)

@@ -177,11 +177,11 @@ pub fn evaluate(arguments: EvaluateArguments) -> Result<Outcome> {
     // The ground of KITTI's poses is not x and y.
     let over_ground_m =
         (estimate.timed && truth.timed).then(|| [&truth.trajectory, &estimate.trajectory].map(over_ground_m));
-    tell(&arguments, &options, &evaluation, over_ground_m)?;
+    print_result(&arguments, &options, &evaluation, over_ground_m)?;
     Ok(Outcome::Done)
 }
 
-fn tell(
+fn print_result(
     arguments: &EvaluateArguments,
     options: &EvaluationOptions,
     evaluation: &Evaluation,

@@ -56,7 +56,7 @@ pub fn measure(arguments: &GroundArguments) -> Result<RigMeasurement> {
         }
         (None, None) => {
             return Err(Error::usage(
-                "driving alone does not tell the height; give --height LENGTH, or --distance LENGTH as driven in the recording, or \
+                "driving alone does not determine the height; give --height LENGTH, or --distance LENGTH as driven in the recording, or \
                  --board BOARD for pictures of a board on the floor",
             ));
         }

@@ -5,6 +5,7 @@ use super::RigMeasurement;
 use crate::files;
 use crate::report::drawing_png;
 use odograph::camera::Camera;
+use odograph::drawing::svg::data_uri;
 use odograph::error::Result;
 use odograph::geometry::{GroundPoint, GroundPose, Pixel};
 use std::fmt::Write;
@@ -24,9 +25,9 @@ pub fn drawn(camera: &Camera, measured: &RigMeasurement) -> Result<Vec<u8>> {
     let mut svg = format!(
         "<svg xmlns=\"http://www.w3.org/2000/svg\" xmlns:xlink=\"http://www.w3.org/1999/xlink\" viewBox=\"0 0 {width} {height}\" \
          width=\"{width}\" height=\"{height}\" font-family=\"Roboto\" font-size=\"{:.1}\">\n\
-         <image width=\"{width}\" height=\"{height}\" xlink:href=\"data:image/png;base64,{}\"/>\n",
+         <image width=\"{width}\" height=\"{height}\" xlink:href=\"{}\"/>\n",
         11.0 * unit,
-        base64(&png)
+        data_uri("image/png", &png)
     );
     for degrees in RINGS_DEG {
         let radius_m = rig.height_m * degrees.to_radians().tan();
@@ -107,36 +108,4 @@ fn text(svg: &mut String, at: Pixel, text: &str, color: &str) {
         "<text x=\"{:.1}\" y=\"{:.1}\" fill=\"{color}\" stroke=\"#000\" stroke-width=\"2\" paint-order=\"stroke\">{text}</text>",
         at.x, at.y
     );
-}
-
-/// RFC 4648.
-fn base64(bytes: &[u8]) -> String {
-    const LETTERS: &[u8; 64] = b"ABCDEFGHIJKLMNOPQRSTUVWXYZabcdefghijklmnopqrstuvwxyz0123456789+/";
-    let mut text = String::with_capacity(bytes.len().div_ceil(3) * 4);
-    for three in bytes.chunks(3) {
-        let at = |index: usize| u32::from(three.get(index).copied().unwrap_or(0));
-        let bits = at(0) << 16 | at(1) << 8 | at(2);
-        for index in 0..4 {
-            let letter = LETTERS[(bits >> (18 - 6 * index)) as usize & 63];
-            text.push(if index <= three.len() { letter as char } else { '=' });
-        }
-    }
-    text
-}
-
-#[cfg(test)]
-mod tests {
-    #[test]
-    fn base64_is_that_of_the_standard() {
-        for (bytes, text) in [
-            ("", ""),
-            ("f", "Zg=="),
-            ("fo", "Zm8="),
-            ("foo", "Zm9v"),
-            ("foob", "Zm9vYg=="),
-            ("fooba", "Zm9vYmE="),
-        ] {
-            assert_eq!(super::base64(bytes.as_bytes()), text);
-        }
-    }
 }

@@ -99,8 +99,8 @@ mod tests {
             assert_eq!(parse(text).unwrap().to_string(), expected, "{text}");
         }
         for text in ["", "hello", "99999", "localhost:", "1.2.3:80", "80:80:80", "http://localhost:8080"] {
-            let told = parse(text).map_err(|told| told.contains("no address to serve at"));
-            assert_eq!(told, Err(true), "{text}");
+            let parsed = parse(text).map_err(|message| message.contains("no address to serve at"));
+            assert_eq!(parsed, Err(true), "{text}");
         }
     }
 

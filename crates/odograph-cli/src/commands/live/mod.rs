@@ -6,7 +6,7 @@ mod capture_arguments;
 mod outputs;
 mod serving;
 
-use super::run::{ConsoleObserver, MountedCamera, tell};
+use super::run::{ConsoleObserver, LogArguments, MountedCamera, print_summary};
 use crate::{Outcome, interrupt};
 pub use capture_arguments::CaptureArguments;
 use odograph::error::Result;
@@ -32,9 +32,6 @@ pub struct LiveArguments {
     /// `-` is Y4M on standard input.
     #[arg(value_name = "SOURCE")]
     pub source: String,
-    /// Camera file (OpenCV YAML, ROS camera_info, Kalibr, EuRoC or COLMAP).
-    #[arg(help_heading = "Camera", long, value_name = "FILE")]
-    pub camera: Option<PathBuf>,
     #[command(flatten)]
     pub mounted: MountedCamera,
     #[command(flatten)]
@@ -62,6 +59,8 @@ pub struct LiveArguments {
     /// Print stats.json to standard output instead of a summary.
     #[arg(help_heading = "Results", long)]
     pub json: bool,
+    #[command(flatten)]
+    pub log: LogArguments,
 }
 
 const EXAMPLES: &str = "\
@@ -86,15 +85,16 @@ impl LiveArguments {
         let folder = self.output.clone().unwrap_or_else(|| PathBuf::from(folder_name_now()));
         let source = SourcePlan { fps: self.capture.fps, ..SourcePlan::new(&self.source) };
         let run = RunBuilder::over(source).folder(folder).overwriting(self.force).reporter(HtmlReporter);
-        self.mounted.of_run(run, self.camera.as_ref())
+        self.mounted.of_run(run)
     }
 }
 
 /// Runs the command.
 pub fn live(arguments: LiveArguments) -> Result<Outcome> {
+    let arguments = LiveArguments { mounted: arguments.mounted.with_profile()?, ..arguments };
     let mut outputs = Outputs::new(&arguments)?;
-    arguments.mounted.question(arguments.quiet);
-    let observer = ConsoleObserver::without_progress(arguments.quiet);
+    arguments.mounted.setup.question(arguments.quiet);
+    let observer = ConsoleObserver::without_progress(arguments.quiet).with_log(arguments.log);
     let options = LiveOptions {
         capture: arguments.capture.options(),
         shown: arguments.serve.serve.is_some(),
@@ -103,8 +103,9 @@ pub fn live(arguments: LiveArguments) -> Result<Outcome> {
     let run = arguments.builder().open_live(&options, &observer)?;
     let serving = Serving::start(&arguments.serve, Arc::clone(run.hub()), Offer::of_run(run.folder()))?;
     if !arguments.quiet {
-        serving.tell_where("");
+        serving.print_address("");
     }
+    observer.log_plan(run.plan(), run.source());
     let result = run.follow(Some(&mut outputs), &observer);
     serving.set_phase(if result.is_ok() { Phase::Saved } else { Phase::Failed }, result.as_ref().err());
     let outcome = match result {
@@ -117,8 +118,9 @@ pub fn live(arguments: LiveArguments) -> Result<Outcome> {
             return Err(error);
         }
     };
+    observer.log_times(&outcome.statistics);
     if arguments.print.is_none() {
-        tell(&outcome, arguments.quiet, arguments.json)?;
+        print_summary(&outcome, arguments.quiet, arguments.json)?;
     }
     if !interrupt::asked() {
         serving.linger(arguments.quiet);

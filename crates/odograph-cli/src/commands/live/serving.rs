@@ -79,7 +79,7 @@ impl Serving {
     }
 
     /// Prints the addresses of the page, one per line, the first with `more` at its end.
-    pub fn tell_where(&self, more: &str) {
+    pub fn print_address(&self, more: &str) {
         let Some(server) = &self.server else { return };
         for (number, url) in server.urls_at(&address::reachable(server.address())).iter().enumerate() {
             console::note(&match number {

@@ -9,7 +9,7 @@ use odograph::keyframe::{KeyframeId, MapEdge};
 use odograph::loop_closure::LoopClosureConfig;
 use odograph::odometry::OdometryConfig;
 use odograph::slam::{self, Mapper};
-use odograph_map::{KeyframeMove, MapClaim, MapFile, carried};
+use odograph_map::{KeyframeMove, MapClaim, MapFile, corrected_path};
 use std::fs;
 use std::path::{Path, PathBuf};
 
@@ -53,7 +53,7 @@ pub fn merge(arguments: &MergeArguments) -> Result<Outcome> {
     let beside = files::beside(&arguments.output);
     MapFile::remove(&beside)?;
     let joined = joined(first, others, &beside, arguments);
-    let told = joined.inspect_err(|_| {
+    let summary = joined.inspect_err(|_| {
         let _ = MapFile::remove(&beside);
     })?;
     claim.remove_map()?;
@@ -62,7 +62,7 @@ pub fn merge(arguments: &MergeArguments) -> Result<Outcome> {
         Error::output(format!("{} cannot be written: {error}", arguments.output.display()))
     })?;
     if !arguments.quiet {
-        console::print(&format!("{told}{}\n", arguments.output.display()))?;
+        console::print(&format!("{summary}{}\n", arguments.output.display()))?;
     }
     Ok(Outcome::Done)
 }
@@ -91,12 +91,12 @@ fn joined(first: &Path, others: &[PathBuf], path: &Path, arguments: &MergeArgume
             first.display()
         )));
     }
-    let mut told = String::new();
+    let mut summary = String::new();
     let mut finest_m = file.mosaic()?.map(|layer| layer.resolution_m);
     for other in others {
         let (back, added) = join(file, other, arguments)?;
         file = back;
-        told += &format!(
+        summary += &format!(
             "{}: {} keyframes, seen again in {} places\n",
             other.display(),
             added.merged.keyframes,
@@ -108,15 +108,15 @@ fn joined(first: &Path, others: &[PathBuf], path: &Path, arguments: &MergeArgume
         };
     }
     let map = file.map()?;
-    told += &match pieces(&map) {
+    summary += &match pieces(&map) {
         1 => String::new(),
         pieces => format!("{pieces} pieces without a connection: their relative position is not known\n"),
     };
     if finest_m.is_some() {
-        mosaic::laid(&mut file, finest_m, arguments.quiet)?;
+        mosaic::rendered(&mut file, finest_m, arguments.quiet)?;
     }
     file.close()?;
-    Ok(told)
+    Ok(summary)
 }
 
 /// The contribution of a map.
@@ -180,7 +180,7 @@ fn join(mut file: MapFile, path: &Path, arguments: &MergeArguments) -> Result<(M
                 Some(KeyframeMove { segment, time_s, before: keyframe.pose, after: now.pose })
             })
             .collect();
-        file.set_path(new, &carried(&other.path_of(old)?, &moves))?;
+        file.set_path(new, &corrected_path(&other.path_of(old)?, &moves))?;
     }
     Ok((file, Added { merged, mosaic_m }))
 }

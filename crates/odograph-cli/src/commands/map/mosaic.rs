@@ -49,7 +49,7 @@ pub fn mosaic(arguments: &MosaicArguments) -> Result<Outcome> {
         check_free(path, arguments.force)?;
     }
     let mut file = MapFile::open(&arguments.map)?;
-    let layer = laid(&mut file, arguments.resolution, arguments.quiet)?;
+    let layer = rendered(&mut file, arguments.resolution, arguments.quiet)?;
     if let Some((path, form)) = arguments.output.as_deref().zip(form) {
         export::write_picture(&file, path, form, None)?;
     }
@@ -65,29 +65,29 @@ pub fn mosaic(arguments: &MosaicArguments) -> Result<Outcome> {
 }
 
 /// The warning that the mosaic has larger pixels than requested, and why.
-fn coarser(asked_m: f64, laid_m: f64) -> String {
+fn coarser(asked_m: f64, rendered_m: f64) -> String {
     format!(
         "--resolution {asked_m} is finer than this map allows: the mosaic has pixels of {:.2} mm, because \
          its images show nothing finer than a quarter of their pixels, and no mosaic is more than 2^30 \
          pixels wide",
-        1e3 * laid_m
+        1e3 * rendered_m
     )
 }
 
 /// Renders the mosaic of a map and stores it there, with a progress bar. Fails if it is
 /// interrupted, or if no keyframe shows the ground.
-pub fn laid(file: &mut MapFile, resolution_m: Option<f64>, quiet: bool) -> Result<MosaicLayer> {
+pub fn rendered(file: &mut MapFile, resolution_m: Option<f64>, quiet: bool) -> Result<MosaicLayer> {
     let bar = if quiet { ProgressBar::hidden() } else { ProgressBar::no_length() };
     if let Ok(style) = ProgressStyle::with_template("{bar:40} {pos}/{len} patches, {eta} left") {
         bar.set_style(style);
     }
-    let laid = file.lay_mosaic(resolution_m, &mut |left| {
+    let rendered = file.render_mosaic(resolution_m, &mut |left| {
         bar.inc(1);
         bar.set_length(bar.position() + left as u64);
         !interrupt::asked()
     })?;
     bar.finish_and_clear();
-    file.mosaic()?.filter(|_| laid).ok_or_else(|| {
+    file.mosaic()?.filter(|_| rendered).ok_or_else(|| {
         Error::input(if interrupt::asked() {
             "interrupted; the map has the mosaic that it had".to_owned()
         } else if let Some(metres) = resolution_m {

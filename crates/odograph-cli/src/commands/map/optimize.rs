@@ -72,7 +72,7 @@ fn in_place(path: &Path, arguments: &OptimizeArguments) -> Result<Outcome> {
     // A shift by less than half a pixel does not change the mosaic.
     let resolution_m = file.mosaic()?.map(|layer| layer.resolution_m);
     if let Some(resolution_m) = resolution_m.filter(|resolution_m| moved_m > 0.5 * resolution_m) {
-        mosaic::laid(&mut file, Some(resolution_m), arguments.quiet)?;
+        mosaic::rendered(&mut file, Some(resolution_m), arguments.quiet)?;
     }
     file.close()?;
     if !arguments.quiet {

@@ -84,7 +84,7 @@ fn saved(damaged: &Path, to: &Path, quiet: bool) -> Result<Repair> {
     let saved = odograph_map::repair(damaged, to, &mut || !interrupt::asked())?;
     if let Some(resolution_m) = saved.mosaic {
         let mut file = MapFile::open(to)?;
-        mosaic::laid(&mut file, resolution_m, quiet)?;
+        mosaic::rendered(&mut file, resolution_m, quiet)?;
         file.close()?;
     }
     Ok(saved)

@@ -2,11 +2,34 @@
 
 use crate::{console, interrupt};
 use indicatif::{ProgressBar, ProgressStyle};
-use odograph::trajectory::FrameEstimate;
-use odograph_session::Observer;
+use odograph::camera::Camera;
+use odograph::trajectory::{FrameEstimate, TrackStatus};
+use odograph_session::{Observer, RunPlan, RunStatistics};
+use odograph_video::SourceInfo;
 use serde_json::json;
 use std::io::{Write, stderr};
 use std::sync::{Mutex, MutexGuard, PoisonError};
+use std::time::Instant;
+
+/// How much of a run is logged.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord, Default)]
+enum Level {
+    /// Nothing.
+    #[default]
+    Nothing,
+    /// What is used, when tracking is lost and found, and how long each stage takes.
+    Events,
+    /// Every frame.
+    Frames,
+}
+
+/// Log of a run.
+#[derive(Debug, Clone, Copy, Default, clap::Args)]
+pub struct LogArguments {
+    /// Log on standard error: what is used, losses, times; -vv also logs every frame.
+    #[arg(help_heading = "Results", short, long, action = clap::ArgAction::Count, conflicts_with = "quiet")]
+    verbose: u8,
+}
 
 /// How progress is shown.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, clap::ValueEnum)]
@@ -27,14 +50,18 @@ pub struct ConsoleObserver {
     progress: Option<Progress>,
     bar: Mutex<ProgressBar>,
     counted: Mutex<Counted>,
+    level: Level,
+    began: Instant,
 }
 
-/// What the lines of progress tell.
+/// What the lines of progress contain.
 #[derive(Debug, Default)]
 struct Counted {
     frames: u64,
     lost: u64,
     of: Option<u64>,
+    /// The status of the last frame.
+    status: Option<TrackStatus>,
 }
 
 impl ConsoleObserver {
@@ -45,6 +72,8 @@ impl ConsoleObserver {
             progress: (!quiet).then_some(Progress::Bar),
             bar: Mutex::new(ProgressBar::hidden()),
             counted: Mutex::default(),
+            level: Level::Nothing,
+            began: Instant::now(),
         }
     }
 
@@ -61,11 +90,71 @@ impl ConsoleObserver {
         Self { progress: None, ..Self::new(quiet) }
     }
 
+    /// The same with a log.
+    pub fn with_log(self, arguments: LogArguments) -> Self {
+        let level = match arguments.verbose {
+            0 => Level::Nothing,
+            1 => Level::Events,
+            _ => Level::Frames,
+        };
+        Self { level, ..self }
+    }
+
+    /// Logs what a run uses.
+    pub fn log_plan(&self, plan: &RunPlan, source: &SourceInfo) {
+        if self.level == Level::Nothing {
+            return;
+        }
+        let frames = source.frame_count.map_or("an unknown number of".to_owned(), |count| count.to_string());
+        self.log(&format!("source {}: {}, {frames} frames", plan.source.path, source.description));
+        self.log(&format!("camera: {}", camera_line(&plan.camera)));
+        let rig = &plan.rig;
+        self.log(&format!(
+            "mount: height {} m, roll {:.2}°, pitch {:.2}°, yaw {:.2}°{}",
+            rig.height_m,
+            rig.roll_rad.to_degrees(),
+            rig.pitch_rad.to_degrees(),
+            rig.yaw_rad.to_degrees(),
+            plan.mask.as_ref().map_or_else(String::new, |mask| format!("; mask {}", mask.display())),
+        ));
+    }
+
+    /// Logs how long the stages of a run took.
+    pub fn log_times(&self, statistics: &RunStatistics) {
+        if self.level == Level::Nothing {
+            return;
+        }
+        for (stage, time) in &statistics.stages {
+            self.log(&format!(
+                "{stage}: {:.3} ms per frame, 99 of 100 below {:.3} ms",
+                time.mean_ms, time.p99_ms
+            ));
+        }
+    }
+
+    fn log(&self, sentence: &str) {
+        let since_start_s = self.began.elapsed().as_secs_f64();
+        self.bar().suspend(|| console::log(since_start_s, sentence));
+    }
+
+    /// Logs a frame, or that tracking was lost or found with it.
+    fn log_frame(&self, frame: &FrameEstimate, before: Option<TrackStatus>) {
+        let FrameEstimate { frame: number, time_s, status, tracks, inliers, residual_px, .. } = frame;
+        if self.level >= Level::Frames {
+            let keyframe = if frame.keyframe { ", keyframe" } else { "" };
+            self.log(&format!(
+                "frame {number} at {time_s:.3} s: {status}{keyframe}, {inliers} of {tracks} tracks agree, residual {residual_px:.3} px"
+            ));
+        } else if before.is_some_and(|before| before != *status) {
+            self.log(&format!("frame {number} at {time_s:.3} s: {status}"));
+        }
+    }
+
     /// Changes what is counted, and writes a line of it if `change` returns true.
     fn count(&self, change: impl FnOnce(&mut Counted) -> bool) {
         let mut counted = self.counted.lock().unwrap_or_else(PoisonError::into_inner);
         if change(&mut counted) && self.progress == Some(Progress::Json) {
-            let Counted { frames, lost, of } = *counted;
+            let Counted { frames, lost, of, .. } = *counted;
             let _ = writeln!(stderr(), "{}", json!({ "frames": frames, "of": of, "lost": lost }));
         }
     }
@@ -80,6 +169,9 @@ impl Observer for ConsoleObserver {
         if self.progress == Some(Progress::Bar) {
             *self.bar() = progress(frames);
         }
+        if self.level > Level::Nothing {
+            self.log("tracking begins");
+        }
         // Again where the recording starts again with another mount or lens.
         self.count(|counted| {
             *counted = Counted { of: frames, ..Counted::default() };
@@ -89,15 +181,23 @@ impl Observer for ConsoleObserver {
 
     fn frame(&self, estimate: &FrameEstimate) {
         self.bar().inc(1);
+        let mut before = None;
         self.count(|counted| {
+            before = counted.status.replace(estimate.status);
             counted.frames += 1;
             counted.lost += u64::from(estimate.estimate.is_none());
             counted.frames.is_multiple_of(FRAMES_PER_LINE)
         });
+        if self.level > Level::Nothing {
+            self.log_frame(estimate, before);
+        }
     }
 
     fn tracking_ends(&self) {
         self.bar().finish_and_clear();
+        if self.level > Level::Nothing {
+            self.log("tracking has ended; loops, sensors, mosaic and report follow");
+        }
         self.count(|counted| !counted.frames.is_multiple_of(FRAMES_PER_LINE));
     }
 
@@ -116,6 +216,27 @@ impl Observer for ConsoleObserver {
     fn is_stop_asked(&self) -> bool {
         interrupt::asked()
     }
+}
+
+/// A camera in a line.
+fn camera_line(camera: &Camera) -> String {
+    let ((fx, fy), (cx, cy)) = (camera.focal_px(), camera.principal_px());
+    let readout = match camera.readout_s() {
+        Some(0.0) => "global shutter".to_owned(),
+        Some(readout_s) => format!("readout {:.2} ms", 1e3 * readout_s),
+        None => "readout to be learned".to_owned(),
+    };
+    let coefficients: Vec<String> =
+        camera.distortion().coefficients().iter().map(|coefficient| coefficient.to_string()).collect();
+    let lens = match coefficients.is_empty() {
+        true => "no distortion".to_owned(),
+        false => format!("distortion {}", coefficients.join(" ")),
+    };
+    format!(
+        "{}x{}, focal length {fx:.2} and {fy:.2} px, principal point {cx:.2}, {cy:.2}, {lens}, {readout}",
+        camera.width(),
+        camera.height(),
+    )
 }
 
 /// A bar if the number of frames is known, otherwise a count; nothing if standard error is not a

@@ -4,7 +4,7 @@
 use super::{ConsoleObserver, Progress, RunArguments};
 use crate::{Outcome, console, interrupt};
 use odograph::error::{Error, ErrorKind, Result};
-use odograph_session::{RunEnd, RunOutcome, Statistics};
+use odograph_session::{RunEnd, RunOutcome, RunStatistics};
 use serde::Serialize;
 use std::collections::HashSet;
 use std::num::NonZero;
@@ -135,7 +135,10 @@ pub fn run(recordings: &[ListedRecording], arguments: &RunArguments, folder: &Pa
                 Err(error) => End::Failed(error),
             };
             if let End::Failed(error) = &end {
-                console::error(&format!("{}: {error}", recording.source));
+                let (error, place) = (error.to_string(), format!("{}: ", recording.source));
+                // Most errors name the recording themselves.
+                let place = if error.starts_with(&place) { "" } else { &place };
+                console::error(&format!("{place}{error}"));
             }
             if let Ok(mut place) = ends[index].lock() {
                 *place = end;
@@ -144,7 +147,7 @@ pub fn run(recordings: &[ListedRecording], arguments: &RunArguments, folder: &Pa
     };
     thread::scope(|scope| (0..workers).for_each(|_| drop(scope.spawn(work))));
     let ends: Vec<End> = ends.into_iter().map(|end| end.into_inner().unwrap_or(End::NotBegun)).collect();
-    tell(recordings, &ends, arguments, folder)?;
+    print_summary(recordings, &ends, arguments, folder)?;
     worst(&ends)
 }
 
@@ -168,17 +171,17 @@ struct RecordingJson<'a> {
     source: &'a str,
     folder: PathBuf,
     error: Option<String>,
-    statistics: Option<&'a Statistics>,
+    statistics: Option<&'a RunStatistics>,
 }
 
-fn tell(
+fn print_summary(
     recordings: &[ListedRecording],
     ends: &[End],
     arguments: &RunArguments,
     results: &Path,
 ) -> Result<()> {
     if arguments.output.json {
-        let told: Vec<RecordingJson<'_>> = recordings
+        let shown: Vec<RecordingJson<'_>> = recordings
             .iter()
             .zip(ends)
             .map(|(recording, end)| RecordingJson {
@@ -195,7 +198,7 @@ fn tell(
                 },
             })
             .collect();
-        let text = serde_json::to_string_pretty(&told)
+        let text = serde_json::to_string_pretty(&shown)
             .map_err(|error| Error::output(format!("the statistics cannot be written as JSON: {error}")))?;
         return console::print(&(text + "\n"));
     }
@@ -204,7 +207,7 @@ fn tell(
     }
     let widest = recordings.iter().map(|recording| recording.name.chars().count()).max().unwrap_or(0);
     for (recording, end) in recordings.iter().zip(ends) {
-        let told = match end {
+        let shown = match end {
             End::Followed(report) => {
                 let RunOutcome { statistics, warnings, .. } = report.as_ref();
                 warnings
@@ -221,7 +224,7 @@ fn tell(
             End::Failed(_) => "failed; see above".to_owned(),
             End::NotBegun => NOT_BEGUN.to_owned(),
         };
-        console::print(&format!("{:widest$}  {told}\n", recording.name))?;
+        console::print(&format!("{:widest$}  {shown}\n", recording.name))?;
     }
     let followed = ends.iter().filter(|end| matches!(end, End::Followed(_))).count();
     console::print(&format!("{followed} of {} recordings followed, in {}\n", ends.len(), results.display()))

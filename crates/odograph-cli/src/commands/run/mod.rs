@@ -4,18 +4,18 @@ mod console_observer;
 mod many;
 mod mounted_camera;
 mod sensors;
-mod tell;
+mod summary;
 
 use crate::{Outcome, console, files};
-pub use console_observer::ConsoleObserver;
 use console_observer::Progress;
-pub use mounted_camera::{Frame, Motion, MountedCamera};
+pub use console_observer::{ConsoleObserver, LogArguments};
+pub use mounted_camera::{CameraSetup, FieldOfView, Motion, MountedCamera, PoseFrameName, ProfileChoice};
 use odograph::error::{Error, Result};
 use odograph_report::HtmlReporter;
 use odograph_session::{MapUse, RunBuilder, SourcePlan};
 pub use sensors::SensorArguments;
 use std::path::{Path, PathBuf};
-pub use tell::tell;
+pub use summary::print_summary;
 
 /// Follow a recording: trajectory, map, mosaic of the ground, report.
 #[derive(Debug, Clone, clap::Args)]
@@ -32,12 +32,6 @@ pub struct RunArguments {
     /// Each gets a folder of its own in -o; as many run at a time as there are cores.
     #[arg(value_name = "MORE")]
     pub more: Vec<String>,
-    /// Camera file (OpenCV YAML, ROS camera_info, Kalibr, EuRoC or COLMAP).
-    ///
-    /// Not needed to continue a map, which has the camera and how it sits, nor for a robot
-    /// recording with a camera_info of its images.
-    #[arg(help_heading = "Camera", long, value_name = "FILE")]
-    pub camera: Option<PathBuf>,
     #[command(flatten)]
     pub mounted: MountedCamera,
     /// Topic with the images, where a robot recording (MCAP, ROS bag) has several.
@@ -97,6 +91,8 @@ pub struct RunArguments {
     pub bag_out: Option<PathBuf>,
     #[command(flatten)]
     pub output: OutputArguments,
+    #[command(flatten)]
+    pub log: LogArguments,
 }
 
 /// Options of output and verbosity, common to all commands that track.
@@ -170,7 +166,7 @@ impl RunArguments {
             ..SourcePlan::new(source)
         };
         let run = RunBuilder::over(source).sensors(self.sensors.files());
-        let run = self.mounted.of_run(run, self.camera.as_ref());
+        let run = self.mounted.of_run(run);
         let run = self.budget_ms.iter().fold(run, |run, budget_ms| run.budget_ms(*budget_ms));
         let run = self.reference.iter().fold(run, RunBuilder::reference);
         if self.no_loops { run.without_loops() } else { run }
@@ -178,13 +174,16 @@ impl RunArguments {
 
     /// Fails where an option contradicts the `run.toml` of an earlier run.
     fn check_repeated(&self, run_toml: &str) -> Result<()> {
+        let setup = &self.mounted.setup;
         let given = [
-            ("--camera", self.camera.is_some()),
-            ("--field-of-view", self.mounted.field_of_view.is_some()),
-            ("--rig", self.mounted.rig.is_some()),
-            ("--height", self.mounted.height.is_some()),
+            ("--profile", self.mounted.chosen.profile.is_some()),
+            ("--camera", setup.camera.is_some()),
+            ("--field-of-view", setup.field_of_view.is_some()),
+            ("--rig", setup.rig.is_some()),
+            ("--height", setup.height.is_some()),
             ("--frame", self.mounted.frame.is_some()),
-            ("--mask", self.mounted.mask.is_some()),
+            ("--readout-ms", setup.readout_ms.is_some()),
+            ("--mask", setup.mask.is_some()),
             ("--motion", self.mounted.motion != Motion::Auto),
             ("--topic", self.topic.is_some()),
             ("--timestamps", self.timestamps.is_some()),
@@ -218,28 +217,34 @@ impl RunArguments {
 
 /// Runs the command.
 pub fn run(arguments: RunArguments) -> Result<Outcome> {
+    let arguments = match arguments.source.ends_with(".toml") {
+        true => arguments,
+        false => RunArguments { mounted: arguments.mounted.with_profile()?, ..arguments },
+    };
     let recordings = many::recordings(&arguments)?;
     let folder = match &arguments.folder {
         Some(folder) => folder.clone(),
         None => default_folder(&arguments.source, recordings.is_some()),
     };
     let quiet = arguments.output.quiet;
-    let tell_folder = || {
+    let print_folder = || {
         if arguments.folder.is_none() && !quiet {
             console::note(&format!("the results go to {} (-o chooses)", folder.display()));
         }
     };
     if let Some(recordings) = recordings {
-        tell_folder();
+        print_folder();
         return many::run(&recordings, &arguments, &folder);
     }
     let builder = arguments.builder(&arguments.source, &folder)?;
-    arguments.mounted.question(quiet);
-    let observer = ConsoleObserver::new(quiet).with_progress(arguments.progress);
+    arguments.mounted.setup.question(quiet);
+    let observer = ConsoleObserver::new(quiet).with_progress(arguments.progress).with_log(arguments.log);
     let run = builder.open(&observer)?;
-    tell_folder();
+    print_folder();
+    observer.log_plan(run.plan(), run.source());
     let outcome = run.follow(&observer)?;
-    tell(&outcome, quiet, arguments.output.json)?;
+    observer.log_times(&outcome.statistics);
+    print_summary(&outcome, quiet, arguments.output.json)?;
     Ok(outcome.end.into())
 }
 

@@ -1,13 +1,21 @@
-//! Options of camera, mount and motion model, common to recordings and live runs.
+//! Options of camera, mount and motion model, common to the commands that follow a camera.
 
 use crate::lengths::{self, Height};
+use crate::profiles;
+use odograph::error::Result;
 use odograph::motion::MotionModel;
 use odograph_session::{FrameChoice, RunBuilder};
 use std::path::PathBuf;
 
-/// Camera, mount and motion, but for the camera file.
-#[derive(Debug, Clone, clap::Args)]
-pub struct MountedCamera {
+/// The camera and how it is mounted: what a profile keeps.
+#[derive(Debug, Clone, Default, clap::Args)]
+pub struct CameraSetup {
+    /// Camera file (OpenCV YAML, ROS camera_info, Kalibr, EuRoC or COLMAP).
+    ///
+    /// Not needed to continue a map, which has the camera and how it sits, nor for a robot
+    /// recording with a camera_info of its images.
+    #[arg(help_heading = "Camera", long, value_name = "FILE")]
+    pub camera: Option<PathBuf>,
     /// Height of the camera above the ground, as 0.9 (metres), 90cm or 3ft.
     ///
     /// The camera is taken to look straight down; a tilt is found in the recording.
@@ -18,9 +26,6 @@ pub struct MountedCamera {
     /// x_m, y_m, z_m: the camera on the robot (base_link), forward, left and up.
     #[arg(help_heading = "Camera", long, value_name = "FILE")]
     pub rig: Option<PathBuf>,
-    /// Whose poses are written. [default: the robot's where the rig has x_m, y_m, z_m]
-    #[arg(help_heading = "Results", long, value_name = "FRAME")]
-    pub frame: Option<Frame>,
     /// Width and height of the ground in the image, as 1.20x0.90 (metres) or 120cmx90cm.
     ///
     /// Stands in for a camera file; height and tilt are then taken as steady.
@@ -36,25 +41,40 @@ pub struct MountedCamera {
     /// Bumper, wheel, own shadow. What is found while running is ignored as well.
     #[arg(help_heading = "Camera", long, value_name = "PICTURE")]
     pub mask: Option<PathBuf>,
-    /// What may change between frames.
-    #[arg(help_heading = "Estimation", long, value_name = "MODEL", default_value = "auto")]
-    pub motion: Motion,
 }
 
-impl MountedCamera {
-    /// Applies the options to a run, with the camera file.
-    pub fn of_run(&self, run: RunBuilder, camera: Option<&PathBuf>) -> RunBuilder {
-        let run = run.motion(self.motion.into());
-        let run = camera.into_iter().fold(run, RunBuilder::camera_file);
+impl CameraSetup {
+    /// Applies the options to a run.
+    pub fn of_run(&self, run: RunBuilder) -> RunBuilder {
+        let run = self.camera.iter().fold(run, RunBuilder::camera_file);
         let run = match self.field_of_view {
             Some(FieldOfView(width_m, height_m)) => run.field_of_view_m(width_m, height_m),
             None => run,
         };
         let run = self.height.iter().fold(run, |run, height| run.height_m(height.metres));
         let run = self.rig.iter().fold(run, RunBuilder::rig_file);
-        let run = self.frame.into_iter().fold(run, |run, frame| run.frame(frame.into()));
         let run = self.readout_ms.iter().fold(run, |run, readout_ms| run.readout_s(1e-3 * readout_ms));
         self.mask.iter().fold(run, RunBuilder::mask)
+    }
+
+    /// The setup with what is not given taken from a profile.
+    pub fn or_of_profile(self, name: Option<&str>) -> Result<Self> {
+        let Some(name) = name else { return Ok(self) };
+        let kept = profiles::read(name)?;
+        let (has_camera, has_mount) = (
+            self.camera.is_some() || self.field_of_view.is_some(),
+            self.rig.is_some() || self.height.is_some(),
+        );
+        let camera = kept.camera.filter(|_| !has_camera);
+        let field_of_view = kept.field_of_view_m.filter(|_| !has_camera);
+        Ok(Self {
+            camera: self.camera.or(camera),
+            height: self.height.or(kept.height_m.filter(|_| !has_mount).map(Height::in_metres)),
+            rig: self.rig.or(kept.rig.filter(|_| !has_mount)),
+            field_of_view: self.field_of_view.or(field_of_view.map(|(w, h)| FieldOfView(w, h))),
+            readout_ms: self.readout_ms.or(kept.readout_ms),
+            mask: self.mask.or(kept.mask),
+        })
     }
 
     /// Warns about a height that was probably meant in another unit.
@@ -65,9 +85,48 @@ impl MountedCamera {
     }
 }
 
+/// A profile by its name.
+#[derive(Debug, Clone, Default, clap::Args)]
+pub struct ProfileChoice {
+    /// Camera and mount by the name of a saved profile; other options go before it.
+    ///
+    /// `odograph profile save NAME --camera FILE --rig FILE` keeps one.
+    #[arg(help_heading = "Camera", long, value_name = "NAME")]
+    pub profile: Option<String>,
+}
+
+/// Camera, mount and motion.
+#[derive(Debug, Clone, clap::Args)]
+pub struct MountedCamera {
+    #[command(flatten)]
+    pub setup: CameraSetup,
+    #[command(flatten)]
+    pub chosen: ProfileChoice,
+    /// Whose poses are written. [default: the robot's where the rig has x_m, y_m, z_m]
+    #[arg(help_heading = "Results", long, value_name = "FRAME")]
+    pub frame: Option<PoseFrameName>,
+    /// What may change between frames.
+    #[arg(help_heading = "Estimation", long, value_name = "MODEL", default_value = "auto")]
+    pub motion: Motion,
+}
+
+impl MountedCamera {
+    /// The same with what its profile has.
+    pub fn with_profile(self) -> Result<Self> {
+        let setup = self.setup.or_of_profile(self.chosen.profile.as_deref())?;
+        Ok(Self { setup, ..self })
+    }
+
+    /// Applies the options to a run.
+    pub fn of_run(&self, run: RunBuilder) -> RunBuilder {
+        let run = self.setup.of_run(run.motion(self.motion.into()));
+        self.frame.into_iter().fold(run, |run, frame| run.frame(frame.into()))
+    }
+}
+
 /// A field of view on the ground: width and height in metres.
 #[derive(Debug, Clone, Copy, PartialEq)]
-pub struct FieldOfView(f64, f64);
+pub struct FieldOfView(pub f64, pub f64);
 
 fn field_of_view(text: &str) -> std::result::Result<FieldOfView, String> {
     let sides = text
@@ -81,7 +140,7 @@ fn field_of_view(text: &str) -> std::result::Result<FieldOfView, String> {
 
 /// Whose poses are written, by their names on the command line.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, clap::ValueEnum)]
-pub enum Frame {
+pub enum PoseFrameName {
     /// The robot: x forward, y left, z up (ROS REP-105).
     #[value(name = "base_link")]
     BaseLink,
@@ -89,11 +148,11 @@ pub enum Frame {
     Camera,
 }
 
-impl From<Frame> for FrameChoice {
-    fn from(frame: Frame) -> Self {
+impl From<PoseFrameName> for FrameChoice {
+    fn from(frame: PoseFrameName) -> Self {
         match frame {
-            Frame::BaseLink => Self::BaseLink,
-            Frame::Camera => Self::Camera,
+            PoseFrameName::BaseLink => Self::BaseLink,
+            PoseFrameName::Camera => Self::Camera,
         }
     }
 }

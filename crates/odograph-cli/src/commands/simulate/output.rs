@@ -2,7 +2,7 @@
 
 use super::scene::Parameters;
 use super::{FormatName, SimulateArguments, avi, y4m};
-use crate::files;
+use crate::{files, interrupt};
 use indicatif::{ProgressBar, ProgressStyle};
 use jpeg_encoder::{ColorType, Encoder};
 use odograph::error::{Error, Result};
@@ -38,7 +38,7 @@ const OURS: [&str; 12] = [
 ];
 
 /// Where to and how.
-pub struct Output {
+pub struct SimulationOutput {
     folder: PathBuf,
     format: FormatName,
     sensors: bool,
@@ -47,7 +47,7 @@ pub struct Output {
     bar: ProgressBar,
 }
 
-impl Output {
+impl SimulationOutput {
     /// Creates the folder; fails if an earlier run's files would be lost, unless that is allowed.
     pub fn prepared(arguments: &SimulateArguments, simulation: &Simulation) -> Result<Self> {
         let folder = arguments.output.clone().unwrap_or_else(|| files::free_beside("simulation", ""));
@@ -105,6 +105,10 @@ impl Output {
             FormatName::Mjpeg => self.write_avi(simulation),
         };
         self.bar.finish_and_clear();
+        if written.is_err() {
+            // Where nothing else is in it.
+            let _ = fs::remove_dir(&self.folder);
+        }
         written?;
         let config = simulation.config();
         let poses = simulation.times_s().iter().map(|&time_s| StampedPose {
@@ -297,6 +301,7 @@ impl Output {
             let receiver = receiver;
             let mut waiting = BTreeMap::new();
             for number in 0..frames {
+                interrupt::check()?;
                 while !waiting.contains_key(&number) {
                     let Ok((ready, bytes)) = receiver.recv() else {
                         return Err(Error::output(format!("frame {number} was not rendered")));

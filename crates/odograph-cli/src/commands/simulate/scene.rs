@@ -8,8 +8,8 @@ use odograph::formats::camera_file;
 use odograph::geometry::Pixel;
 use odograph_simulation::{
     Blackout, Breathing, Bumper, Dirt, Effects, ExposureJumps, Kerb, Lamp, Lighting, MovingObject, Path,
-    PathKind, Ramp, Relief, SensorErrors, Shadow, SimulatedSensors, SimulationConfig, Sway, Terrain, Texture,
-    Tiling, Timing, Undulation, Vibration, Wander, ordinary_camera,
+    PathKind, Ramp, Relief, SensorErrors, Shadow, SimulatedSensors, SimulationConfig, SlowVariation, Sway,
+    Terrain, Texture, Tiling, Timing, Undulation, Vibration, ordinary_camera,
 };
 use serde::Serialize;
 use std::collections::BTreeMap;
@@ -158,10 +158,10 @@ fn effects(arguments: &SimulateArguments, rig: &Rig, camera: &Camera) -> Effects
         vibration: arguments.vibration.map(|vibration| vibration.0),
         height_change: arguments
             .height_change
-            .map(|percent| Wander { amplitude: percent / 100.0, period_s: 6.0 }),
+            .map(|percent| SlowVariation { amplitude: percent / 100.0, period_s: 6.0 }),
         tilt_change: arguments
             .tilt_change
-            .map(|degrees| Wander { amplitude: degrees.to_radians(), period_s: 4.0 }),
+            .map(|degrees| SlowVariation { amplitude: degrees.to_radians(), period_s: 4.0 }),
         breathing: arguments.breathing.map(|Pair(percent, seconds)| Breathing {
             share: percent / 100.0,
             period_s: seconds.unwrap_or(5.0),

@@ -17,7 +17,7 @@ const STREAM: &str = "undistorted.y4m";
 const OURS: [&str; 5] = [PICTURES, STREAM, "frames.txt", "camera.yaml", "before-after.png"];
 
 /// The folder while it is being filled.
-pub struct Output {
+pub struct UndistortedOutput {
     folder: PathBuf,
     /// Whether the folder was created by this run.
     made: bool,
@@ -55,7 +55,7 @@ pub struct Encoded {
     pub bytes: Vec<u8>,
 }
 
-impl Drop for Output {
+impl Drop for UndistortedOutput {
     /// Removes incomplete results.
     fn drop(&mut self) {
         if !self.whole {
@@ -70,7 +70,7 @@ impl Drop for Output {
     }
 }
 
-impl Output {
+impl UndistortedOutput {
     /// Prepares the folder. Fails if results exist and `force` does not allow replacing them, or if
     /// it cannot be written.
     pub fn new(folder: &Path, format: OutputFormat, force: bool) -> Result<Self> {

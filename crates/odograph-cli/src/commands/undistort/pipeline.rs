@@ -1,7 +1,7 @@
 //! Decode | correct and encode | write, side by side. The order of frames is kept, so any number of
 //! threads gives the same bytes.
 
-use super::output::{Encoded, Output};
+use super::output::{Encoded, UndistortedOutput};
 use super::{OutputFormat, UndistortArguments};
 use crate::commands::simulate::y4m;
 use crate::{files, interrupt};
@@ -30,7 +30,7 @@ pub fn correct(
     mut source: Source,
     correction: &ImageCorrection,
     arguments: &UndistortArguments,
-    output: &mut Output,
+    output: &mut UndistortedOutput,
 ) -> Result<CorrectionSummary> {
     let available = || thread::available_parallelism().map_or(1, usize::from);
     let threads = arguments.threads.map_or_else(available, usize::from);

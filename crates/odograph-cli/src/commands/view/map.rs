@@ -6,7 +6,7 @@ use odograph::geometry::GroundPose;
 use odograph::ground_map::MapKeyframe;
 use odograph::mosaic::{MapMosaic, Mosaic, MosaicSquare};
 use odograph_live::ground::GrowingTiles;
-use odograph_live::{Ground, GroundPicture, Mark, TrackRecord};
+use odograph_live::{GroundPicture, Mark, TiledGround, TrackRecord};
 use odograph_map::{MapFile, PathFrame};
 use odograph_session::live::map_graph;
 use serde_json::Value;
@@ -16,7 +16,7 @@ use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, Ordering};
 use std::thread;
 
-/// A ground that is laid while it is looked at has no more squares: 256 MB of memory. One that
+/// A ground that is rendered while it is looked at has no more squares: 256 MB of memory. One that
 /// would have is made coarser.
 const MOST_SQUARES: usize = 1024;
 /// Between two sessions on the slider, seconds.
@@ -123,8 +123,8 @@ fn records_of(
     frames.iter().enumerate().map(record).collect()
 }
 
-/// The mosaic that the map has; where it has none it is laid while it is looked at.
-pub fn ground(path: &Path, most_pixels: usize, ended: &Arc<AtomicBool>) -> Result<Box<dyn Ground>> {
+/// The mosaic that the map has; where it has none it is rendered while it is looked at.
+pub fn ground(path: &Path, most_pixels: usize, ended: &Arc<AtomicBool>) -> Result<Box<dyn TiledGround>> {
     let file = MapFile::open_read_only(path)?;
     if let Some(picture) = file.mosaic_picture(most_pixels)? {
         let picture = GroundPicture::new(picture.rgba, picture.width, picture.height, picture.placement)?;
@@ -133,26 +133,26 @@ pub fn ground(path: &Path, most_pixels: usize, ended: &Arc<AtomicBool>) -> Resul
     let tiles = Arc::new(GrowingTiles::default());
     thread::spawn({
         let (tiles, ended) = (Arc::clone(&tiles), Arc::clone(ended));
-        // Where it fails what is laid stays: paths and keyframes can be looked at without.
-        move || drop(lay(file, &tiles, &ended))
+        // Where it fails what is rendered stays: paths and keyframes can be looked at without.
+        move || drop(render(file, &tiles, &ended))
     });
     Ok(Box::new(tiles))
 }
 
-fn lay(mut file: MapFile, tiles: &GrowingTiles, ended: &AtomicBool) -> Result<()> {
+fn render(mut file: MapFile, tiles: &GrowingTiles, ended: &AtomicBool) -> Result<()> {
     let map = file.map()?;
     let mut resolution_m = None;
-    'coarser: while let Some(mut laying) = MapMosaic::new(&map, &mut file, resolution_m)? {
-        tiles.begin(laying.resolution_m());
-        while let Some(laid) = laying.next_tiles(&mut file)? {
+    'coarser: while let Some(mut rendering) = MapMosaic::new(&map, &mut file, resolution_m)? {
+        tiles.begin(rendering.resolution_m());
+        while let Some(rendered) = rendering.next_tiles(&mut file)? {
             if ended.load(Ordering::Relaxed) {
                 return Ok(());
             }
-            for tile in laid {
+            for tile in rendered {
                 tiles.put(MosaicSquare { column: tile.column, row: tile.row }, tile.rgba);
             }
             if tiles.count() > MOST_SQUARES {
-                resolution_m = Some(2.0 * laying.resolution_m());
+                resolution_m = Some(2.0 * rendering.resolution_m());
                 continue 'coarser;
             }
         }

@@ -7,7 +7,7 @@ use crate::{Outcome, files};
 use odograph::error::{Error, Result};
 use odograph::geometry::Placement;
 use odograph::mosaic::Mosaic;
-use odograph_live::{Ground, GroundPicture, Hub, Introduction, Mark, Phase, Status, TrackRecord};
+use odograph_live::{GroundPicture, Hub, Introduction, Mark, Phase, Status, TiledGround, TrackRecord};
 use odograph_session::RunPlan;
 use std::fs::File;
 use std::io::BufReader;
@@ -46,7 +46,7 @@ pub fn view(arguments: ViewArguments) -> Result<Outcome> {
         serve_run(&arguments.folder, &serve)?
     };
     if !arguments.quiet {
-        serving.tell_where(" (Ctrl-C ends)");
+        serving.print_address(" (Ctrl-C ends)");
     }
     serving.stay();
     ended.store(true, Ordering::Relaxed);
@@ -74,7 +74,7 @@ fn serve_run(folder: &Path, serve: &ServeArguments) -> Result<Serving> {
         live: false,
         calibration: false,
     };
-    let ground: Box<dyn Ground> = match mosaic(folder)? {
+    let ground: Box<dyn TiledGround> = match mosaic(folder)? {
         Some(picture) => Box::new(picture),
         None => Box::new(Mutex::new(Mosaic::new(Default::default()))),
     };
@@ -101,7 +101,7 @@ fn serve_map(path: &Path, serve: &ServeArguments, ended: &Arc<AtomicBool>) -> Re
     let offer = Offer { folder: folder.to_owned(), files: vec![name] };
     let hub = Arc::new(Hub::new(introduction, Arc::from(ground)));
     let serving = Serving::start(serve, hub, offer)?;
-    serving.hub().tell("map", &view.graph);
+    serving.hub().notify("map", &view.graph);
     show(&serving, &view.records, view.sessions);
     Ok(serving)
 }
@@ -124,10 +124,15 @@ fn records(folder: &Path) -> Result<Vec<TrackRecord>> {
     // A run that was killed has left what it had.
     let table = if table.is_file() { table } else { files::beside(&table) };
     if !table.is_file() {
-        return Err(Error::input(format!(
-            "{} is not the folder of a run, it has no trajectory.csv, and not a map file",
-            folder.display()
-        )));
+        let shown = folder.display();
+        return Err(Error::input(match folder.exists() {
+            true => {
+                format!("{shown} is neither the folder of a run (it has no trajectory.csv) nor a map file")
+            }
+            false => {
+                format!("{shown}: there is no such folder or file; give the folder of a run, or a map file")
+            }
+        }));
     }
     TrackRecord::from_csv(&files::read_text_within(&table, MOST_TABLE)?)
         .map_err(|error| error.at(folder.display()))

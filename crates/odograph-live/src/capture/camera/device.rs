@@ -1,6 +1,6 @@
 //! Access to cameras through V4L2.
 
-use super::negotiation::{self, Agreed, Control, Driver, Given, Intervals, Sizes, told};
+use super::negotiation::{self, Agreed, Control, Driver, Given, Intervals, Sizes, failed};
 use super::{Mode, ModeWish};
 use crate::capture::{Captured, LiveSource, Watch};
 use linuxvideo::controls::Cid;
@@ -140,7 +140,7 @@ impl Driver for V4l2 {
 }
 
 /// An open camera that delivers images.
-pub struct Camera {
+pub struct CameraDevice {
     path: PathBuf,
     mode: Mode,
     bytes_per_line: usize,
@@ -156,13 +156,13 @@ pub struct Camera {
     warnings: Vec<String>,
 }
 
-impl Camera {
+impl CameraDevice {
     /// Opens a camera in the mode that fits a request best.
     ///
     /// # Errors
     /// If there is no camera, another program uses it, or it has no such mode.
     pub fn open(path: &Path, wish: &ModeWish, hold_exposure: bool, watch: Watch) -> Result<Self> {
-        let cannot = |what: &'static str| move |error: io::Error| told(path, what, &error);
+        let cannot = |what: &'static str| move |error: io::Error| failed(path, what, &error);
         let device = Device::open(path).map_err(cannot("is no camera that can be opened"))?;
         let name = device.capabilities().map_or_else(|_| "camera".to_owned(), |c| c.card().to_owned());
         let mut driver = V4l2::Idle(device);
@@ -232,7 +232,7 @@ impl Camera {
     }
 }
 
-impl LiveSource for Camera {
+impl LiveSource for CameraDevice {
     fn info(&self) -> &SourceInfo {
         &self.info
     }

@@ -10,7 +10,7 @@ mod device;
 mod negotiation;
 
 #[cfg(target_os = "linux")]
-pub use device::{Camera, list};
+pub use device::{CameraDevice, list};
 
 use odograph::error::{Error, Result};
 use odograph_video::SampleLayout;

@@ -3,8 +3,10 @@
 use super::arrival_clock::ArrivalClock;
 use super::back_off::BackOff;
 use super::multipart::{Multipart, boundary};
-use super::url::{HttpUrl, base64};
+use super::url::HttpUrl;
 use super::{Captured, LiveSource, Watch};
+use base64::Engine as _;
+use base64::engine::general_purpose::STANDARD as BASE64;
 use odograph::error::{Error, Result};
 use odograph_video::{Frame, Picture, SourceInfo};
 use std::io::{self, BufRead, BufReader, Read, Write};
@@ -100,12 +102,12 @@ impl HttpMjpeg {
     pub fn open(address: &str, patience: Duration, watch: Watch) -> Result<Self> {
         let url = HttpUrl::parse(address)?;
         let place = format!("http://{}{}", url.host_header(), url.path);
-        let told = |why: io::Error| Error::input(format!("{place} gives no pictures: {why}"));
-        let mut connection = connect(&url).map_err(told)?;
+        let failed = |why: io::Error| Error::input(format!("{place} gives no pictures: {why}"));
+        let mut connection = connect(&url).map_err(failed)?;
         let mut part = Vec::new();
         let picture = loop {
-            if !connection.next(&mut part).map_err(told)? {
-                return Err(told(io::Error::other("the stream ended at once")));
+            if !connection.next(&mut part).map_err(failed)? {
+                return Err(failed(io::Error::other("the stream ended at once")));
             }
             // The first image of a stream may be damaged; data that does not start as a JPEG file
             // is an error.
@@ -245,7 +247,7 @@ fn ask(url: &HttpUrl) -> io::Result<Multipart<Box<dyn BufRead + Send>>> {
     stream.set_read_timeout(Some(PATIENCE))?;
     stream.set_write_timeout(Some(PATIENCE))?;
     let authorization = match &url.credentials {
-        Some(credentials) => format!("Authorization: Basic {}\r\n", base64(credentials.as_bytes())),
+        Some(credentials) => format!("Authorization: Basic {}\r\n", BASE64.encode(credentials)),
         None => String::new(),
     };
     let request = format!(

@@ -1,7 +1,7 @@
 //! Tracking gaps: the camera's velocity around a gap, and dead-reckoned frames within it.
 
 use super::camera_motion::{MeasuredFrame, Step};
-use super::reckoning::{BodyRates, Reckoned};
+use super::reckoning::{BodyRates, ReckonedPose};
 use crate::filter::smoother::{PoseSource, SmoothedFrame};
 use crate::geometry::pose_index::HEADING;
 use crate::geometry::{GroundPose, PlaneTransform, Se2, propagated};
@@ -14,9 +14,9 @@ pub struct Bridge {
     pub before: usize,
     pub after: Option<usize>,
     /// Index of each frame in the gap, with its dead-reckoned pose relative to the node before.
-    pub frames: Vec<(usize, Reckoned)>,
+    pub frames: Vec<(usize, ReckonedPose)>,
     /// Pose of the node after the gap, or of the last frame, relative to the node before.
-    pub end: Reckoned,
+    pub end: ReckonedPose,
     pub duration_s: f64,
 }
 
@@ -48,7 +48,7 @@ pub fn rates_around(steps: &[Step], before: usize, after: Option<usize>) -> [Bod
 impl Bridge {
     /// Dead-reckoned frames of the gap in world coordinates, adjusted to the measured poses at its
     /// ends.
-    pub fn laid(&self, frames: &[FrameEstimate], nodes: &[MeasuredFrame]) -> Vec<SmoothedFrame> {
+    pub fn placed(&self, frames: &[FrameEstimate], nodes: &[MeasuredFrame]) -> Vec<SmoothedFrame> {
         let before = &frames[nodes[self.before].index];
         let after = self.after.map(|after| &frames[nodes[after].index]);
         let Some(start) = &before.estimate else { return Vec::new() };
@@ -63,7 +63,7 @@ impl Bridge {
             finish.map_or(Vector3::zeros(), |finish| plane(finish) - (origin + turn * self.end.pose));
         let connected = after.is_some_and(|after| after.segment == before.segment);
         let covariance = |known: &PoseEstimate| known.covariance.fixed_view::<3, 3>(0, 0).into_owned();
-        let mut laid: Vec<SmoothedFrame> = Vec::with_capacity(self.frames.len());
+        let mut placed: Vec<SmoothedFrame> = Vec::with_capacity(self.frames.len());
         for (index, reckoned) in &self.frames {
             let frame = &frames[*index];
             let share = ((frame.time_s - before.time_s) / self.duration_s).clamp(0.0, 1.0);
@@ -80,12 +80,12 @@ impl Bridge {
                 }
                 _ => covariance(start) + own,
             };
-            let (then_s, then) = laid.last().map_or((before.time_s, origin), |last: &SmoothedFrame| {
+            let (then_s, then) = placed.last().map_or((before.time_s, origin), |last: &SmoothedFrame| {
                 (last.time_s, last.pose.to_vector().xyz())
             });
             let rates =
                 if frame.time_s > then_s { (at - then) / (frame.time_s - then_s) } else { Vector3::zeros() };
-            laid.push(SmoothedFrame {
+            placed.push(SmoothedFrame {
                 frame: frame.frame,
                 time_s: frame.time_s,
                 pose: GroundPose {
@@ -102,6 +102,6 @@ impl Bridge {
                 segment: before.segment,
             });
         }
-        laid
+        placed
     }
 }

@@ -9,7 +9,7 @@
 
 use super::calibration::{CONSISTENT_NIS, Sight};
 use super::camera_motion::MeasuredFrame;
-use super::reckoning::Reckoned;
+use super::reckoning::ReckonedPose;
 use crate::geometry::pose_index::{HEADING, LN_SCALE, X, Y};
 use crate::geometry::{PlaneTransform, Se2, Sim2, propagated, wrap_angle};
 use nalgebra::{Matrix3, SMatrix, SVector};
@@ -72,7 +72,7 @@ enum Event {
 /// if there is a gap between them.
 pub fn estimate(
     nodes: &[MeasuredFrame],
-    gaps: &[Option<Reckoned>],
+    gaps: &[Option<ReckonedPose>],
     heading: &[Sight],
     range: &[Sight],
 ) -> Estimate {
@@ -159,7 +159,7 @@ impl Forward {
         &mut self,
         before: &MeasuredFrame,
         node: &MeasuredFrame,
-        reckoned: &Reckoned,
+        reckoned: &ReckonedPose,
         height_change: f64,
     ) {
         let heading_rad = before.heading_rad + self.state[HEADING];

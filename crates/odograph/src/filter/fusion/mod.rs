@@ -161,7 +161,7 @@ impl Reckoned {
     /// Moves the dead-reckoned frames along with their measured neighbours, for example after a
     /// loop closure: the corrections of the neighbours are interpolated in time. `moves` has the
     /// time of each measured frame, in order, with its pose before and after.
-    pub fn laid(self, moves: &[(f64, GroundPose, GroundPose)]) -> Self {
+    pub fn moved_with(self, moves: &[(f64, GroundPose, GroundPose)]) -> Self {
         let moved = |frame: SmoothedFrame| {
             let next = moves.partition_point(|(time_s, ..)| *time_s <= frame.time_s);
             let ends = [next.checked_sub(1).and_then(|at| moves.get(at)), moves.get(next)];
@@ -236,7 +236,7 @@ impl AcceptedSensors<'_> {
         {
             return None;
         }
-        let mut gaps: Vec<Option<reckoning::Reckoned>> = vec![None; nodes.len()];
+        let mut gaps: Vec<Option<reckoning::ReckonedPose>> = vec![None; nodes.len()];
         let mut bridges = Vec::new();
         for (before, node) in nodes.iter().enumerate() {
             let after = (before + 1 < nodes.len()).then_some(before + 1);
@@ -322,7 +322,7 @@ fn corrected(
         // Keeps the original frames if the corrections are only rounding.
         fused = frames.to_vec();
     }
-    let reckoned = Reckoned(bridges.iter().flat_map(|bridge| bridge.laid(&fused, nodes)).collect());
+    let reckoned = Reckoned(bridges.iter().flat_map(|bridge| bridge.placed(&fused, nodes)).collect());
     Fusion { frames: fused, reports, moved, reckoned }
 }
 

@@ -30,7 +30,7 @@ pub struct TrackingGap {
 /// Dead-reckoned pose relative to the camera at the start of the gap: forward, left (metres) and
 /// heading (radians), with its covariance.
 #[derive(Debug, Clone, Copy)]
-pub struct Reckoned {
+pub struct ReckonedPose {
     pub pose: Vector3<f64>,
     pub covariance: Matrix3<f64>,
 }
@@ -53,7 +53,7 @@ impl Believed<'_> {
     /// Velocities that no sensor measures are interpolated between those before and after the gap.
     /// Their uncertainty allows a stop or twice the speed in between, or 0.2 m/s and 0.2 rad/s from
     /// rest (two standard deviations).
-    pub fn reckon(&self, gap: &TrackingGap, times_s: &[f64]) -> Option<Vec<Reckoned>> {
+    pub fn reckon(&self, gap: &TrackingGap, times_s: &[f64]) -> Option<Vec<ReckonedPose>> {
         let (from_s, to_s) = (gap.from_s, gap.to_s);
         if to_s - from_s > LONGEST_S {
             return None;
@@ -155,7 +155,7 @@ impl Believed<'_> {
                 pose += Vector3::new(dx, dy, turn);
                 now_s = next_s;
             }
-            reckoned.push(Reckoned { pose, covariance: noise + propagated(&jacobian, &parameters) });
+            reckoned.push(ReckonedPose { pose, covariance: noise + propagated(&jacobian, &parameters) });
         }
         Some(reckoned)
     }

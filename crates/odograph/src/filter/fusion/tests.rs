@@ -6,7 +6,9 @@ use super::*;
 use crate::camera::{Camera, Rig};
 use crate::geometry::GroundPose;
 use crate::motion::Random;
-use crate::simulation::{Blackout, Effects, Path, PathKind, Simulation, SimulationConfig, Texture, Wander};
+use crate::simulation::{
+    Blackout, Effects, Path, PathKind, Simulation, SimulationConfig, SlowVariation, Texture,
+};
 use crate::trajectory::Velocity;
 use crate::trajectory::{LossReason, PlaneMeasurement, PoseEstimate, TrackStatus};
 use nalgebra::Matrix6;
@@ -319,8 +321,10 @@ fn a_range_finder_bounds_scale_drift() {
     // The camera's height and translations grow by 8 % over the drive, within its stated
     // covariance.
     let rig = Rig::level(0.75);
-    let effects =
-        Effects { height_change: Some(Wander { amplitude: 0.1, period_s: 6.0 }), ..Effects::default() };
+    let effects = Effects {
+        height_change: Some(SlowVariation { amplitude: 0.1, period_s: 6.0 }),
+        ..Effects::default()
+    };
     let simulation = drive(PathKind::Straight { length_m: 20.0 }, 0.5, effects, rig, 7);
     let mut frames = followed(&simulation, (0.0, 0.0, 0.0));
     let last_s = simulation.times_s().last().copied().unwrap();

@@ -20,8 +20,8 @@ pub use plane::DenseImage;
 
 use super::GroundFromRay;
 use super::{
-    Elevation, MotionConfig, MotionEstimate, Observations, RigPrior, Sighting, ViewingPose, planar_pose,
-    whitened,
+    Correspondence, Elevation, MotionConfig, MotionEstimate, Observations, RigPrior, ViewingPose,
+    planar_pose, whitened,
 };
 use crate::camera::Camera;
 use crate::geometry::{GroundPose, Pixel};
@@ -209,9 +209,11 @@ impl DenseLevel<'_> {
             .filter(|(_, found)| !is_masked(self.image, found.warp.warp.position, self.plane))
             .collect();
         let gain_and_noise = GainAndNoise::between(&matches)?;
-        let sightings: Vec<Sighting> =
-            matches.iter().filter_map(|(tile, found)| self.sighting(tile, found, &gain_and_noise)).collect();
-        let (observations, median_px) = whitened(&sightings, SHARED_PX2)?;
+        let correspondences: Vec<Correspondence> = matches
+            .iter()
+            .filter_map(|(tile, found)| self.correspondence(tile, found, &gain_and_noise))
+            .collect();
+        let (observations, median_px) = whitened(&correspondences, SHARED_PX2)?;
         let cutoff_px = (CUTOFF_SIGMAS * median_px).max(self.plane.pixels_per_sample);
         let config = MotionConfig { inlier_px: cutoff_px, ..*self.config };
         let agreeing = vec![true; observations.len()];
@@ -230,7 +232,12 @@ impl DenseLevel<'_> {
 
     /// Measured position of a tile; `None` where its contrast does not match or its Hessian is
     /// singular.
-    fn sighting(&self, tile: &Tile, found: &TileMatch, gain_and_noise: &GainAndNoise) -> Option<Sighting> {
+    fn correspondence(
+        &self,
+        tile: &Tile,
+        found: &TileMatch,
+        gain_and_noise: &GainAndNoise,
+    ) -> Option<Correspondence> {
         let area = AREA as f64;
         // Gain of the tile, with the gain of the whole image as prior.
         let prior_weight = gain_and_noise.noise / GAIN_SPREAD.powi(2);
@@ -251,7 +258,7 @@ impl DenseLevel<'_> {
             * inverse
             * linear.transpose()
             * (noise / (gain_and_noise.signal_fraction * gain_and_noise.signal_fraction));
-        Some(Sighting {
+        Some(Correspondence {
             ground: tile.patch.ground,
             elevation: Elevation::FLAT,
             pixel: Pixel::new(

@@ -146,12 +146,17 @@ impl DrivenTilt {
     ///
     /// If there are too few pairs to solve at all.
     pub fn self_calibration(&self, start: &Rig, parameters: usize) -> Result<SelfCalibration> {
-        let groups = self.groups.iter().step_by(self.pairs.div_ceil(MAX_PAIRS).max(1));
-        let solved = bundle::solve::<ALL_UNKNOWNS>(&self.camera, groups, start);
-        match solved.and_then(|solved| self.select_model(&solved, parameters)) {
-            Some(found) => Ok(found),
-            None => Ok(SelfCalibration { tilt: self.solve(start, None)?, lens: None }),
+        let groups = || self.groups.iter().step_by(self.pairs.div_ceil(MAX_PAIRS).max(1));
+        let with_lens = bundle::solve::<ALL_UNKNOWNS>(&self.camera, groups(), start)
+            .and_then(|solved| self.select_model(&solved, parameters));
+        if let Some(found) = with_lens {
+            return Ok(found);
         }
+        // Views that do not determine the lens may still determine the readout time.
+        let with_readout = bundle::solve::<LENS_START>(&self.camera, groups(), start)
+            .and_then(|solved| self.tilt_only(&solved));
+        let tilt = with_readout.map_or_else(|| self.solve(start, None), Ok)?;
+        Ok(SelfCalibration { tilt, lens: None })
     }
 
     /// Reduces pairs solved for all unknowns to the tilt alone, and to the lens with as few
@@ -161,13 +166,17 @@ impl DrivenTilt {
         // if the model has decentering.
         let whole = match self.camera.distortion() {
             Distortion::KannalaBrandt { .. } => {
-                self.with_parameters(&solved.restricted::<8>(), 5, parameters)
+                let solved = solved.restricted::<WITH_CENTRE>();
+                self.with_parameters(&solved, WITH_BOTH_RADIAL, parameters)
             }
-            _ => self.with_parameters(solved, 5, parameters),
+            _ => self.with_parameters(solved, WITH_BOTH_RADIAL, parameters),
         };
         let lens = whole
-            .or_else(|| self.with_parameters(&solved.restricted::<5>(), 4, parameters))
-            .or_else(|| self.with_lens(&solved.restricted::<4>()));
+            .or_else(|| {
+                let solved = solved.restricted::<WITH_BOTH_RADIAL>();
+                self.with_parameters(&solved, WITH_FIRST_RADIAL, parameters)
+            })
+            .or_else(|| self.with_lens(&solved.restricted::<WITH_FIRST_RADIAL>()));
         Some(SelfCalibration { tilt: self.tilt_only(solved)?, lens })
     }
 
@@ -220,6 +229,17 @@ fn last_are_significant<const N: usize>(solved: &Solved<N>, first: usize) -> boo
 /// Largest number of pairs for the lens; of more, keyframes are left out evenly.
 const MAX_PAIRS: usize = 256;
 
-/// Roll, pitch, readout time, two radial parameters, the principal point, the second focal length
-/// and the decentering.
-const ALL_UNKNOWNS: usize = LENS_START + 7;
+/// Number of common unknowns with the first radial parameter of the lens, after roll, pitch and
+/// readout time. The counts follow from the order of the parameters in [`LensUnknowns`]; whether a
+/// further group is freed is decided by its significance, [`PARAMETER_SIGMAS`].
+const WITH_FIRST_RADIAL: usize = LENS_START + 1;
+
+/// The same with the second radial parameter.
+const WITH_BOTH_RADIAL: usize = WITH_FIRST_RADIAL + 1;
+
+/// The same with the two coordinates of the principal point and the second focal length: all that
+/// the Kannala–Brandt model has here.
+const WITH_CENTRE: usize = WITH_BOTH_RADIAL + 3;
+
+/// The same with the two parameters of decentering.
+const ALL_UNKNOWNS: usize = WITH_CENTRE + 2;

@@ -26,7 +26,7 @@ mod monitor;
 
 use bundle::{READOUT, Solved, TILT};
 pub use lens::{LensCoefficient, LensMeasurement, SelfCalibration};
-pub use monitor::{CalibrationMonitor, Found};
+pub use monitor::{CalibrationMonitor, CalibrationUpdate};
 pub use online::OnlineCalibration;
 pub use readout::ReadoutMeasurement;
 
@@ -34,11 +34,12 @@ use crate::camera::{Camera, CameraUncertainty, Rig};
 use crate::error::{Error, Result};
 use crate::geometry::{GroundPose, Pixel};
 use crate::keyframe::KeyframeId;
+use crate::motion::PoseRates;
 use crate::numerics::{Combined, combine};
 use crate::odometry::{Odometry, TrackView};
 use crate::trajectory::FrameEstimate;
 use nalgebra::Matrix2;
-use rates::{Moving, PoseRates, RateHistory};
+use rates::{Moving, RateHistory};
 use std::collections::VecDeque;
 
 /// Selection of pairs of views.
@@ -83,12 +84,12 @@ pub struct DrivenTilt {
 /// The pairs of one keyframe, whose errors are correlated.
 #[derive(Debug, Clone, Default)]
 pub(in crate::mounting) struct Group {
-    pairs: Vec<Pair>,
+    pairs: Vec<ViewPair>,
 }
 
 /// Tracks from a keyframe to a later frame: their pixels in both, and whether they were inliers.
 #[derive(Debug, Clone)]
-struct Pair {
+struct ViewPair {
     tracks: Vec<(Pixel, Pixel, bool)>,
     /// Rates of both views, where known.
     exposure: Option<PairExposure>,
@@ -272,7 +273,7 @@ impl DrivenTilt {
                     self.relief.add(frame.residual_px);
                 }
                 self.pending.extend(reference.map(|keyframe| Pending { pair, keyframe, frame: count }));
-                group.pairs.push(Pair { tracks, exposure: None });
+                group.pairs.push(ViewPair { tracks, exposure: None });
                 self.pairs += 1;
             }
             self.moved_px = moved_px;
@@ -354,7 +355,7 @@ impl DrivenTilt {
                 Rig { roll_rad: solved.roll_rad + roll, pitch_rad: solved.pitch_rad + pitch, ..*start };
             combined.covariance += self.camera_covariance(&found, uncertainty).ok_or_else(|| {
                 Error::input(
-                    "the camera's own uncertainty is so large that driving says nothing; calibrate the camera again",
+                    "the camera's parameters are too uncertain to determine the tilt from driving; calibrate the camera again",
                 )
             })?;
         }
@@ -392,7 +393,7 @@ impl DrivenTilt {
 
 fn too_few() -> Error {
     Error::input(
-        "the recording does not show enough movement over the floor to tell the tilt; drive at least 5 m, with turns to both sides",
+        "the recording shows too little motion over the floor to determine the camera's tilt; drive at least 5 m, with turns to both sides",
     )
 }
 
@@ -401,7 +402,7 @@ impl DrivenTilt {
     fn camera_covariance(&self, found: &Rig, uncertainty: &CameraUncertainty) -> Option<Matrix2<f64>> {
         const MAX_KEYFRAMES: usize = 40;
         let every = self.groups.len().div_ceil(MAX_KEYFRAMES).max(1);
-        uncertainty.carried(&self.camera, |camera| {
+        uncertainty.propagated(&self.camera, |camera| {
             let solved = bundle::solve::<TILT>(camera, self.groups.iter().step_by(every), found)?;
             let Combined { offset, .. } = combine(&solved.parts)?;
             Some([solved.roll_rad + offset[0], solved.pitch_rad + offset[1]])

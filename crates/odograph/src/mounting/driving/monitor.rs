@@ -24,7 +24,7 @@ pub struct CalibrationMonitor {
     lens: bool,
     readout_is_given: bool,
     /// The earlier estimate on which the given tilt and lens are based, if any.
-    before: Found,
+    before: CalibrationUpdate,
     /// Whether the odometry itself deviates from the given height or tilt.
     deviates: bool,
     /// Number of pairs at which the next check is due.
@@ -33,7 +33,7 @@ pub struct CalibrationMonitor {
 
 /// What differs from the given calibration.
 #[derive(Debug, Clone, PartialEq, Default)]
-pub struct Found {
+pub struct CalibrationUpdate {
     /// The tilt.
     pub tilt: Option<TiltMeasurement>,
     /// The readout time.
@@ -44,7 +44,7 @@ pub struct Found {
     pub pairs: usize,
 }
 
-impl Found {
+impl CalibrationUpdate {
     /// Whether nothing differs.
     fn is_nothing(&self) -> bool {
         self.tilt.is_none() && self.readout.is_none() && self.lens.is_none()
@@ -112,13 +112,13 @@ impl CalibrationMonitor {
         let config =
             DrivingConfig { max_tracks: MAX_TRACKS, max_pairs: LAST_CHECK, ..DrivingConfig::default() };
         let driven = DrivenTilt::new(camera, config);
-        let (before, next_check) = (Found::default(), FIRST_CHECK);
+        let (before, next_check) = (CalibrationUpdate::default(), FIRST_CHECK);
         let readout_is_given = camera.readout_s().is_some();
         Self { driven, given: *given, lens: true, readout_is_given, before, deviates: false, next_check }
     }
 
     /// Starts with a camera and rig that an earlier part of the recording determined.
-    pub fn found(camera: &Camera, given: &Rig, before: &Found) -> Self {
+    pub fn found(camera: &Camera, given: &Rig, before: &CalibrationUpdate) -> Self {
         let next_check = RECHECK_FACTOR * before.pairs;
         let unknown = camera.clone().with_readout_s(None).ok().filter(|_| before.readout.is_some());
         let mut watch = Self::new(unknown.as_ref().unwrap_or(camera), given);
@@ -134,7 +134,7 @@ impl CalibrationMonitor {
     /// Takes the next frame, the result of [`Odometry::process`], and its tracks. Returns the
     /// estimated calibration as soon as it differs significantly from the given one, or is clearly
     /// more precise than the earlier estimate.
-    pub fn watch(&mut self, frame: &FrameEstimate, odometry: &Odometry) -> Option<Found> {
+    pub fn watch(&mut self, frame: &FrameEstimate, odometry: &Odometry) -> Option<CalibrationUpdate> {
         self.collect(frame, odometry);
         if !self.is_due() {
             return None;
@@ -163,21 +163,21 @@ impl CalibrationMonitor {
     }
 
     /// A monitor for the rest of a recording that goes on with what was found.
-    pub(super) fn after(&self, camera: &Camera, rig: &Rig, found: &Found) -> Self {
+    pub(super) fn after(&self, camera: &Camera, rig: &Rig, found: &CalibrationUpdate) -> Self {
         let watch = Self::found(camera, rig, found);
         Self { lens: self.lens, ..watch }
     }
 
     /// The check at the end of a recording that is too short for the next scheduled one: a short
     /// recording is cheap to track again.
-    pub fn at_end(&self) -> Option<Found> {
+    pub fn at_end(&self) -> Option<CalibrationUpdate> {
         let least = if self.before.is_nothing() { FIRST_CHECK } else { END_FACTOR * self.before.pairs };
         let worth = self.next_check <= LAST_CHECK && self.driven.pairs() >= least;
         worth.then(|| self.check()).flatten()
     }
 
     /// The estimated calibration if it differs significantly from the given one.
-    pub(super) fn check(&self) -> Option<Found> {
+    pub(super) fn check(&self) -> Option<CalibrationUpdate> {
         if !self.deviates {
             return None;
         }
@@ -189,7 +189,7 @@ impl CalibrationMonitor {
         let replaces_lens = lens.as_ref().is_some_and(|lens| self.replaces_lens(lens));
         let readout = tilt.readout.filter(|found| self.driven.is_possible(found));
         let replaces_readout = readout.is_some_and(|readout| self.replaces_readout(&readout));
-        (replaces_tilt || replaces_lens || replaces_readout).then(|| Found {
+        (replaces_tilt || replaces_lens || replaces_readout).then(|| CalibrationUpdate {
             // An earlier estimate is replaced by the new one even where the difference is small.
             tilt: (replaces_tilt || self.before.tilt.is_some()).then_some(tilt),
             readout: readout.filter(|_| replaces_readout || self.before.readout.is_some()),

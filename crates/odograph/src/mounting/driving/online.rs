@@ -1,6 +1,6 @@
 //! Self-calibration of a camera that is followed live, where nothing can be read again.
 
-use super::{CalibrationMonitor, Found};
+use super::{CalibrationMonitor, CalibrationUpdate};
 use crate::camera::{Camera, Rig};
 use crate::error::Result;
 use crate::odometry::Odometry;
@@ -19,7 +19,7 @@ pub struct OnlineCalibration {
     rig: Rig,
     watch: CalibrationMonitor,
     solving: Option<Solving>,
-    found: Option<Found>,
+    found: Option<CalibrationUpdate>,
 }
 
 /// A bundle that is being solved.
@@ -27,7 +27,7 @@ pub struct OnlineCalibration {
 struct Solving {
     /// Frames until its result is due.
     frames: usize,
-    result: JoinHandle<Option<Found>>,
+    result: JoinHandle<Option<CalibrationUpdate>>,
 }
 
 /// Pairs of views that are solved within the time of one frame: a pair takes 2 to 4 ms.
@@ -83,7 +83,7 @@ impl OnlineCalibration {
     }
 
     /// The estimated calibration that is in use; `None` while the given one is.
-    pub fn found(&self) -> Option<&Found> {
+    pub fn found(&self) -> Option<&CalibrationUpdate> {
         self.found.as_ref()
     }
 }

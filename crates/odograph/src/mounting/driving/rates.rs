@@ -2,12 +2,10 @@
 
 use crate::geometry::GroundPose;
 use crate::keyframe::KeyframeId;
+use crate::motion::PoseRates;
 use crate::trajectory::FrameEstimate;
 use nalgebra::Vector6;
 use std::collections::{HashMap, VecDeque};
-
-/// Change of (x, y, heading, height, roll, pitch) per second.
-pub type PoseRates = Vector6<f64>;
 
 /// A pose, its rates and its accelerations.
 #[derive(Debug, Clone, Copy)]

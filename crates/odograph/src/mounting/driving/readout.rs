@@ -43,7 +43,7 @@ const MIN_DIFFERENCE_S: f64 = 3e-4;
 
 /// Largest scatter between keyframes, as a fraction of the difference: above it, the cause is not
 /// the shutter.
-const MAX_SCATTER: f64 = 1.0 / 3.0;
+const MAX_SCATTER: f64 = 0.5;
 
 impl ReadoutMeasurement {
     /// Whether the readout time differs significantly from `given_s`; zero if none was given.

@@ -125,7 +125,7 @@ fn a_steady_mount_is_taken_for_steady_in_lossy_video() {
         let found = frame.estimate.as_ref().unwrap();
         assert!(frame.residual_px < 0.4, "the video is worse than it is meant to be: {}", frame.residual_px);
         // By themselves the tracks say 0.1 mm and 0.0003 rad, and the way were 0.2 mm off if they
-        // were believed.
+        // were accepted.
         assert!((found.pose.height_m - HEIGHT_M).abs() < 2e-5, "frame {}: {:?}", frame.frame, found.pose);
         assert!(
             found.pose.roll_rad.abs().max(found.pose.pitch_rad.abs()) < 1e-4,
@@ -147,8 +147,8 @@ fn a_steady_mount_is_taken_for_steady_in_lossy_video() {
 fn a_swaying_mount_is_followed_in_lossy_video() {
     let frames = follow(|time_s| 0.01 * (std::f64::consts::TAU * 3.0 * time_s).sin());
     for (frame, truth) in &frames[10..] {
-        // Held for level, the camera would be put 7 mm off. The tracks tell its tilt to 0.0003 rad,
-        // that of the keyframe to as much.
+        // Held for level, the camera would be put 7 mm off. The tracks determine its tilt to 0.0003
+        // rad, that of the keyframe to as much.
         assert_right(frame, &Some(*truth), 1.5);
     }
 }

@@ -4,7 +4,7 @@ use super::*;
 use crate::simulation::Sway;
 
 #[test]
-fn swaying_grass_does_not_carry_the_path_along() {
+fn swaying_grass_does_not_shift_the_path() {
     let world = World::new("grass");
     let sway = Some(Sway { amplitude_m: 0.009, share: 0.5, period_s: 1.3 });
     let simulation = Simulation::new(SimulationConfig {

@@ -21,8 +21,8 @@ fn drive(readout_s: f64, seed: u64) -> Simulation {
 }
 
 /// Where a drive ends, millimetres from the truth, and the readout time as it is known then.
-fn end_mm(simulation: &Simulation, told_s: Option<f64>) -> (f64, crate::motion::Readout) {
-    let camera = World::new("asphalt").camera.with_readout_s(told_s).unwrap();
+fn end_mm(simulation: &Simulation, given_s: Option<f64>) -> (f64, crate::motion::Readout) {
+    let camera = World::new("asphalt").camera.with_readout_s(given_s).unwrap();
     let mut odometry = Odometry::new(camera, Rig::level(HEIGHT_M), OdometryConfig::default()).unwrap();
     let mut off_mm = f64::NAN;
     for frame in simulation.frames() {
@@ -34,7 +34,7 @@ fn end_mm(simulation: &Simulation, told_s: Option<f64>) -> (f64, crate::motion::
 }
 
 #[test]
-fn a_told_readout_time_makes_the_drive_exact() {
+fn a_given_readout_time_makes_the_drive_exact() {
     // Without the shutter in the model the drive is 16 mm (1.4 %) too long. Measured: 0.04 mm.
     let (off_mm, _) = end_mm(&drive(READOUT_S, 3), Some(READOUT_S));
     assert!(off_mm < 0.3, "{off_mm} mm");

@@ -132,7 +132,7 @@ pub fn export(arguments: &ExportArguments) -> Result<Outcome> {
     let mut file = MapFile::open_read_only(&arguments.map)?;
     let output = arguments.output.as_path();
     files::make_folder_of(output)?;
-    let told = match form {
+    let summary = match form {
         Form::Picture(form) => write_picture(&file, output, form, anchor.as_ref())?,
         Form::Ply => ply::write(&file, output, arguments.max_points)?,
         Form::Trajectory(form) => trajectory::write(&path_asked(&file, arguments.session)?, output, form)?,
@@ -148,7 +148,7 @@ pub fn export(arguments: &ExportArguments) -> Result<Outcome> {
         Form::Colmap => colmap::write(&mut file, output, arguments.force)?,
     };
     if !arguments.quiet {
-        console::print(&format!("{told}\nLook at {}\n", output.display()))?;
+        console::print(&format!("{summary}\nLook at {}\n", output.display()))?;
     }
     Ok(Outcome::Done)
 }

@@ -119,7 +119,7 @@ pub fn set_up(driver: &mut dyn Driver, wish: &ModeWish, path: &Path) -> Result<A
     let wished = choose(&modes(driver), wish).map_err(|error| error.at(path.display()))?;
     let given = driver
         .set_format(wished.fourcc, (wished.width, wished.height))
-        .map_err(|error| told(path, "cannot be set up", &error))?;
+        .map_err(|error| failed(path, "cannot be set up", &error))?;
     let mode = Mode { width: given.width, height: given.height, ..wished };
     if given.fourcc != wished.fourcc || mode != wished {
         let letters = String::from_utf8_lossy(&given.fourcc);
@@ -156,9 +156,9 @@ impl Agreed {
                 // counts as equal.
                 let same = wished.zip(got).is_some_and(|(wished, got)| (got - wished).abs() <= 0.02 * wished);
                 if !same {
-                    let told = got.map_or("another rate".to_owned(), |got| format!("{got:.1} frames/s"));
+                    let offered = got.map_or("another rate".to_owned(), |got| format!("{got:.1} frames/s"));
                     self.warnings.push(format!(
-                        "{}: {:.1} frames/s were asked for, it gives {told}",
+                        "{}: {:.1} frames/s were asked for, it gives {offered}",
                         path.display(),
                         wished.unwrap_or_default()
                     ));
@@ -170,7 +170,7 @@ impl Agreed {
 }
 
 /// The message for a failed operation, with the system's reason.
-pub fn told(path: &Path, what: &str, error: &io::Error) -> Error {
+pub fn failed(path: &Path, what: &str, error: &io::Error) -> Error {
     // EBUSY and EACCES, the two errors that the user can resolve.
     let why = match error.raw_os_error() {
         Some(16) => "it is in use by another program".to_owned(),

@@ -260,9 +260,9 @@ fn deviations_of_the_driver_are_reported() {
     let error = camera.set_up(ModeWish::default()).unwrap_err();
     assert_eq!(error, "/dev/video7 cannot be set up: it is in use by another program");
     // Padded rows, and a driver that does not report the row stride.
-    for (told, bytes) in [(1344, 1344), (0, 1280)] {
+    for (reported, bytes) in [(1344, 1344), (0, 1280)] {
         let mut camera = Recorded::camera(WEBCAM);
-        camera.bytes_per_line = Some(told);
+        camera.bytes_per_line = Some(reported);
         assert_eq!(camera.set_up(ModeWish::default()).unwrap().bytes_per_line, bytes);
     }
 }

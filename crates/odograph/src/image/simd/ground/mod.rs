@@ -1,9 +1,9 @@
 //! Orthorectification: samples a frame at eight ground pixels of a row at a time and averages them
 //! into the orthophoto.
 //!
-//! The scalar reference is [`lay_eight_by_one`], one pixel after the other; AVX2 and NEON process
-//! eight in parallel (`wide`, `neon`). All produce the same bytes: multiply-adds are never fused,
-//! and each pixel's operations have the reference's order.
+//! The scalar reference is [`orthorectify_eight_by_one`], one pixel after the other; AVX2 and NEON
+//! process eight in parallel (`wide`, `neon`). All produce the same bytes: multiply-adds are never
+//! fused, and each pixel's operations have the reference's order.
 
 #[cfg(target_arch = "aarch64")]
 mod neon;
@@ -55,7 +55,7 @@ pub struct Places {
 
 /// A frame of `N` interleaved channels to be orthorectified.
 #[derive(Debug, Clone, Copy)]
-pub struct Laid<'a, const N: usize> {
+pub struct UnrectifiedFrame<'a, const N: usize> {
     samples: &'a [u8],
     width: usize,
     /// Size of these samples relative to the full-resolution image.
@@ -68,7 +68,7 @@ pub struct Laid<'a, const N: usize> {
     gains: [f32; N],
 }
 
-impl<'a, const N: usize> Laid<'a, N> {
+impl<'a, const N: usize> UnrectifiedFrame<'a, N> {
     /// A frame of `size` (width, height); `scale` is its size relative to the full-resolution image
     /// of `feather`. `None` where the number of samples does not match, where there are fewer than
     /// two columns or rows, or where the number exceeds 31 bits.
@@ -129,27 +129,27 @@ impl<'a, const N: usize> Laid<'a, N> {
 
 /// Averages a frame into eight neighbouring ground pixels (red, green, blue and weight). Returns
 /// whether the frame shows any of them.
-pub fn lay_eight<const N: usize>(
-    frame: &Laid<'_, N>,
+pub fn orthorectify_eight<const N: usize>(
+    frame: &UnrectifiedFrame<'_, N>,
     places: &Places,
     pixels: &mut [[u8; 4]; LANES],
 ) -> bool {
     #[cfg(target_arch = "x86_64")]
     if is_x86_feature_detected!("avx2") {
         // SAFETY: the processor has AVX2.
-        return unsafe { wide::lay_eight(frame, places, pixels) };
+        return unsafe { wide::orthorectify_eight(frame, places, pixels) };
     }
     #[cfg(target_arch = "aarch64")]
     if std::arch::is_aarch64_feature_detected!("neon") {
         // SAFETY: the processor has NEON.
-        return unsafe { neon::lay_eight(frame, places, pixels) };
+        return unsafe { neon::orthorectify_eight(frame, places, pixels) };
     }
-    lay_eight_by_one(frame, places, pixels)
+    orthorectify_eight_by_one(frame, places, pixels)
 }
 
-/// The scalar reference of [`lay_eight`].
-fn lay_eight_by_one<const N: usize>(
-    frame: &Laid<'_, N>,
+/// The scalar reference of [`orthorectify_eight`].
+fn orthorectify_eight_by_one<const N: usize>(
+    frame: &UnrectifiedFrame<'_, N>,
     places: &Places,
     pixels: &mut [[u8; 4]; LANES],
 ) -> bool {
@@ -208,7 +208,8 @@ mod tests {
         let samples: Vec<u8> = bytes.by_ref().take(size.0 * size.1 * N).collect();
         let full = ((size.0 as f32 / scale) as usize, (size.1 as f32 / scale) as usize);
         let gains = std::array::from_fn(|channel| 0.8 + 0.3 * channel as f32);
-        let frame = Laid::<N>::new(&samples, size, scale, Feather::new(full.0, full.1), gains).unwrap();
+        let frame =
+            UnrectifiedFrame::<N>::new(&samples, size, scale, Feather::new(full.0, full.1), gains).unwrap();
         let along = |axis: usize| {
             std::array::from_fn(|i| first[axis] * (full.0.min(full.1) as f32) + step[axis] * i as f32)
         };
@@ -216,7 +217,7 @@ mod tests {
         quality[3] = 0.3;
         let places = Places { x: along(0), y: along(1), quality };
         let pixels: [[u8; 4]; LANES] = [(); LANES].map(|()| [(); 4].map(|()| bytes.next().unwrap()));
-        [lay_eight::<N>, lay_eight_by_one::<N>].map(|lay| {
+        [orthorectify_eight::<N>, orthorectify_eight_by_one::<N>].map(|lay| {
             let mut pixels = pixels;
             (lay(&frame, &places, &mut pixels), pixels)
         })
@@ -239,9 +240,9 @@ mod tests {
 
     #[test]
     fn border_samples_are_used_and_nan_positions_are_skipped() {
-        for kernel in [lay_eight::<3>, lay_eight_by_one::<3>] {
+        for kernel in [orthorectify_eight::<3>, orthorectify_eight_by_one::<3>] {
             let samples = [10, 20, 30].repeat(4);
-            let frame = Laid::new(&samples, (2, 2), 1.0, Feather::new(2, 2), [1.0; 3]).unwrap();
+            let frame = UnrectifiedFrame::new(&samples, (2, 2), 1.0, Feather::new(2, 2), [1.0; 3]).unwrap();
             let mut x = [1.0; LANES];
             x[0] = f32::NAN;
             let mut pixels = [[0; 4]; LANES];

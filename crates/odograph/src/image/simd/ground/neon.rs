@@ -1,16 +1,16 @@
-//! [`super::lay_eight`] for NEON.
+//! [`super::orthorectify_eight`] for NEON.
 
 use super::super::neon::{between, unsigned};
-use super::{LANES, Laid, OUTWEIGHED, Places};
+use super::{LANES, OUTWEIGHED, Places, UnrectifiedFrame};
 use std::arch::aarch64::*;
 
 /// Eight floating-point values.
 type EightFloats = [float32x4_t; 2];
 
-/// See [`super::lay_eight`].
+/// See [`super::orthorectify_eight`].
 #[target_feature(enable = "neon")]
-pub fn lay_eight<const N: usize>(
-    frame: &Laid<'_, N>,
+pub fn orthorectify_eight<const N: usize>(
+    frame: &UnrectifiedFrame<'_, N>,
     places: &Places,
     pixels: &mut [[u8; 4]; LANES],
 ) -> bool {
@@ -66,7 +66,7 @@ pub fn lay_eight<const N: usize>(
 #[inline]
 #[target_feature(enable = "neon")]
 fn weights<const N: usize>(
-    frame: &Laid<'_, N>,
+    frame: &UnrectifiedFrame<'_, N>,
     x: EightFloats,
     y: EightFloats,
     quality: EightFloats,
@@ -93,7 +93,11 @@ fn within(place: float32x4_t, last: f32) -> uint32x4_t {
 /// Bilinear samples of each channel at eight positions; unspecified outside the frame.
 #[inline]
 #[target_feature(enable = "neon")]
-fn sample<const N: usize>(frame: &Laid<'_, N>, x: EightFloats, y: EightFloats) -> [EightFloats; N] {
+fn sample<const N: usize>(
+    frame: &UnrectifiedFrame<'_, N>,
+    x: EightFloats,
+    y: EightFloats,
+) -> [EightFloats; N] {
     // NaN and negative values become 0.
     let whole = |place: EightFloats, last: f32| {
         let last = vdupq_n_u32(last as u32 - 1);

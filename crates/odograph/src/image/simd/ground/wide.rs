@@ -1,12 +1,12 @@
-//! [`super::lay_eight`] for AVX2.
+//! [`super::orthorectify_eight`] for AVX2.
 
-use super::{LANES, Laid, OUTWEIGHED, Places};
+use super::{LANES, OUTWEIGHED, Places, UnrectifiedFrame};
 use std::arch::x86_64::*;
 
-/// See [`super::lay_eight`].
+/// See [`super::orthorectify_eight`].
 #[target_feature(enable = "avx2")]
-pub fn lay_eight<const N: usize>(
-    frame: &Laid<'_, N>,
+pub fn orthorectify_eight<const N: usize>(
+    frame: &UnrectifiedFrame<'_, N>,
     places: &Places,
     pixels: &mut [[u8; 4]; LANES],
 ) -> bool {
@@ -51,7 +51,12 @@ pub fn lay_eight<const N: usize>(
 /// [`super::Feather::weight`] of eight positions.
 #[inline]
 #[target_feature(enable = "avx2")]
-fn weights<const N: usize>(frame: &Laid<'_, N>, x: __m256, y: __m256, quality: __m256) -> __m256i {
+fn weights<const N: usize>(
+    frame: &UnrectifiedFrame<'_, N>,
+    x: __m256,
+    y: __m256,
+    quality: __m256,
+) -> __m256i {
     let feather = &frame.feather;
     let nearest = |place, last: f32| _mm256_min_ps(_mm256_sub_ps(_mm256_set1_ps(last), place), place);
     let from_border = _mm256_min_ps(nearest(y, feather.bottom), nearest(x, feather.right));
@@ -74,7 +79,7 @@ fn within(place: __m256, last: f32) -> __m256 {
 /// Bilinear samples of each channel at eight positions; unspecified outside the frame.
 #[inline]
 #[target_feature(enable = "avx2")]
-fn sample<const N: usize>(frame: &Laid<'_, N>, x: __m256, y: __m256) -> [__m256; N] {
+fn sample<const N: usize>(frame: &UnrectifiedFrame<'_, N>, x: __m256, y: __m256) -> [__m256; N] {
     // NaN is converted to the most negative integer, which is clamped to the first column or row.
     let whole = |place: __m256, last: f32| {
         let last = _mm256_set1_epi32(last as i32 - 1);

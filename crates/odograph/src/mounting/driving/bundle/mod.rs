@@ -72,7 +72,7 @@ pub fn solve<'a, const N: usize>(
 /// All unknowns.
 struct PairBundle<'a, const N: usize> {
     tilt: Vector2<f64>,
-    readout: Readout,
+    readout: ReadoutUnknown,
     lens: LensUnknowns,
     pairs: Vec<SolvedPair<'a>>,
     pair_variation: PairVariation,
@@ -85,7 +85,7 @@ impl<'a, const N: usize> PairBundle<'a, N> {
     fn begin(camera: &Camera, groups: impl ExactSizeIterator<Item = &'a Group>, start: &Rig) -> Option<Self> {
         let tilt = Vector2::new(start.roll_rad, start.pitch_rad);
         let lens = LensUnknowns::new(camera, N.saturating_sub(LENS_START))?;
-        let readout = Readout::new(camera);
+        let readout = ReadoutUnknown::new(camera);
         let keyframe_tilts = vec![Vector2::zeros(); groups.len()];
         let pairs = groups
             .enumerate()
@@ -112,7 +112,13 @@ impl<'a, const N: usize> PairBundle<'a, N> {
 
     fn systems(&self) -> Vec<System<N>> {
         let system = |pair: &SolvedPair<'_>| {
-            System::new(&self.lens, self.readout.value_s, pair, &self.first_pose(pair), &self.pair_variation)
+            System::new(
+                &self.lens,
+                self.readout.value_s,
+                pair,
+                &self.first_pose(pair),
+                &self.pair_variation.variance,
+            )
         };
         self.pairs.iter().map(system).collect()
     }
@@ -202,7 +208,7 @@ impl<'a, const N: usize> PairBundle<'a, N> {
 }
 
 /// The readout time as an unknown.
-struct Readout {
+struct ReadoutUnknown {
     value_s: f64,
     /// Prior mean and standard deviation, seconds.
     prior: (f64, f64),
@@ -212,7 +218,7 @@ struct Readout {
 const GIVEN_READOUT_S: f64 = 1e-8;
 const UNKNOWN_READOUT_S: f64 = 0.015;
 
-impl Readout {
+impl ReadoutUnknown {
     fn new(camera: &Camera) -> Self {
         let prior = camera.readout_s().map_or((0.0, UNKNOWN_READOUT_S), |given_s| (given_s, GIVEN_READOUT_S));
         Self { value_s: prior.0, prior }

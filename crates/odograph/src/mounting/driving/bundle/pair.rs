@@ -5,7 +5,7 @@ use super::{MIN_INLIERS, ROBUST_ITERATIONS};
 use crate::camera::Camera;
 use crate::camera::PosedCamera;
 use crate::geometry::{GroundPoint, GroundPose, Ray};
-use crate::mounting::driving::Pair;
+use crate::mounting::driving::ViewPair;
 use nalgebra::{Vector2, Vector6};
 
 /// Motion of the camera between two views: x, y (heights), turn (radians), change of height
@@ -93,7 +93,7 @@ const MIN_DISTANCE: f64 = 0.05;
 
 /// A pair and its present estimate.
 pub struct SolvedPair<'a> {
-    pub pair: &'a Pair,
+    pub pair: &'a ViewPair,
     /// The tracks' corners in the first view.
     pub corners: Vec<Option<CornerRay>>,
     pub group: usize,
@@ -109,7 +109,7 @@ impl<'a> SolvedPair<'a> {
         lens: &LensUnknowns,
         readout_s: f64,
         group: usize,
-        pair: &'a Pair,
+        pair: &'a ViewPair,
         rig: &GroundPose,
     ) -> Option<Self> {
         let camera = lens.camera();

@@ -2,7 +2,6 @@
 
 use super::lens::LensUnknowns;
 use super::pair::{Movement, SolvedPair};
-use super::variation::PairVariation;
 use super::{LENS_START, READOUT, TILT};
 use crate::geometry::GroundPose;
 use crate::numerics::{Part, inverse};
@@ -24,7 +23,7 @@ impl<const N: usize> System<N> {
         readout_s: f64,
         solved: &SolvedPair<'_>,
         rig: &GroundPose,
-        pair_variation: &PairVariation,
+        pair_variance: &[f64; 3],
     ) -> Self {
         let views = solved.views(lens.camera(), readout_s, rig);
         let mut system = Self {
@@ -64,7 +63,7 @@ impl<const N: usize> System<N> {
             system.common_slope += weight * by_common.transpose() * error;
             system.movement_slope += weight * by_movement.transpose() * error;
         }
-        for (k, variance) in pair_variation.variance.iter().enumerate() {
+        for (k, variance) in pair_variance.iter().enumerate() {
             system.movement[(3 + k, 3 + k)] += 1.0 / variance;
             system.movement_slope[3 + k] -= solved.movement[3 + k] / variance;
         }

@@ -14,7 +14,7 @@ use super::exposure::Darkening;
 use super::{MosaicTile, PATCH};
 use crate::geometry::GroundPoint;
 use crate::ground_map::KeyframeImage;
-use crate::mosaic::laying::BlockCorner;
+use crate::mosaic::orthorectification::BlockCorner;
 
 /// Side of the patch, ground pixels.
 const SIDE: usize = (PATCH * TILE) as usize;
@@ -56,7 +56,7 @@ impl MosaicPatch {
 
     /// Adds an image that shows the ground within `bounds` (least x and y, greatest x and y,
     /// metres), with a gain for each channel and its vignetting corrected.
-    pub fn lay(
+    pub fn orthorectify(
         &mut self,
         image: &KeyframeImage,
         view: &GroundCamera<'_>,
@@ -77,8 +77,8 @@ impl MosaicPatch {
         let blocks = self.blocks_within(bounds);
         self.find_corners(view, &blocks);
         match self.samples.channels() {
-            1 => self.lay_channels::<1>(view, &blocks, gains, darkening),
-            _ => self.lay_channels::<3>(view, &blocks, gains, darkening),
+            1 => self.orthorectify_channels::<1>(view, &blocks, gains, darkening),
+            _ => self.orthorectify_channels::<3>(view, &blocks, gains, darkening),
         }
     }
 
@@ -110,7 +110,7 @@ impl MosaicPatch {
         }
     }
 
-    fn lay_channels<const N: usize>(
+    fn orthorectify_channels<const N: usize>(
         &mut self,
         view: &GroundCamera<'_>,
         blocks: &[usize; 4],

@@ -6,7 +6,7 @@ use odograph_report::{LostStretch, lost_stretches};
 use odograph_session::{RunEnd, RunOutcome};
 
 /// Prints the result and where to look.
-pub fn tell(outcome: &RunOutcome, quiet: bool, json: bool) -> Result<()> {
+pub fn print_summary(outcome: &RunOutcome, quiet: bool, json: bool) -> Result<()> {
     let statistics = &outcome.statistics;
     if json {
         console::print(&format!("{}\n", statistics.json()?))?;

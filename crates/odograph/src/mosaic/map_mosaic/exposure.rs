@@ -87,8 +87,8 @@ impl Gains {
         images: &mut dyn KeyframeImages,
     ) -> Result<Self> {
         let mut thumbnails = Vec::with_capacity(keyframes.len());
-        for laid in keyframes {
-            thumbnails.push(Thumbnail::of(&images.load(laid.id)?));
+        for placed in keyframes {
+            thumbnails.push(Thumbnail::of(&images.load(placed.id)?));
         }
         let pairs = pairs(keyframes);
         let mut darkening = Darkening::none(camera);
@@ -194,8 +194,9 @@ fn pairs(keyframes: &[PlacedKeyframe]) -> Vec<(usize, usize)> {
     };
     // Squares as large as the largest footprint: overlapping ones are in the same or in
     // neighbouring squares.
-    let reach =
-        |laid: &PlacedKeyframe| (laid.bounds[2] - laid.bounds[0]).max(laid.bounds[3] - laid.bounds[1]);
+    let reach = |placed: &PlacedKeyframe| {
+        (placed.bounds[2] - placed.bounds[0]).max(placed.bounds[3] - placed.bounds[1])
+    };
     let side = keyframes.iter().map(reach).fold(f64::MIN_POSITIVE, f64::max);
     let square = |k: usize| ((centre(k).0 / side).floor() as i64, (centre(k).1 / side).floor() as i64);
     let mut squares: BTreeMap<(i64, i64), Vec<usize>> = BTreeMap::new();

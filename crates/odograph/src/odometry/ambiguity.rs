@@ -2,25 +2,25 @@
 //! known ground.
 
 use super::Odometry;
-use super::follow::{self, Measurement};
 use super::recovery::Lost;
-use super::texture::Texture;
+use super::texture::TextureClass;
+use super::tracking::{self, Measurement};
 use crate::image::Pyramid;
 use crate::motion::{MotionModel, Random};
 use crate::trajectory::LossReason;
 
 /// A pose with a smaller inlier ratio among the corners in view may be that of something else.
-const DOUBTFUL_PRESENCE: f64 = 0.55;
+const AMBIGUOUS_INLIER_RATIO: f64 = 0.55;
 
 /// Where a smaller part of the corners in view agrees, what agrees does so by chance.
-pub const CHANCE_PRESENCE: f64 = 0.25;
+pub const CHANCE_INLIER_RATIO: f64 = 0.25;
 
 /// Distance from the prediction, pixels, above which a joint of the floor may have been taken for
 /// its neighbour.
 const SURPRISE_PX: f64 = 12.0;
 
 /// Where a smaller part of the corners in view agrees with a surprise, it may be something else.
-const SURPRISING_PRESENCE: f64 = 0.7;
+const SURPRISING_INLIER_RATIO: f64 = 0.7;
 
 /// Number of frames after a loss in which a standing image is not taken for a camera that came to
 /// rest exactly at its keyframe.
@@ -30,18 +30,18 @@ impl Odometry {
     /// Whether a measurement may have tracked something beside the ground, such as a moving shadow,
     /// or another part of the ground that looks alike: few corners in view are inliers, or less
     /// than most although the pose is far from the prediction.
-    pub(super) fn is_doubtful(&self, measurement: &Measurement) -> bool {
+    pub(super) fn is_ambiguous(&self, measurement: &Measurement) -> bool {
         let (found, expected) = (&measurement.estimate.pose, &measurement.prediction);
         let off_m = (found.x_m - expected.x_m).hypot(found.y_m - expected.y_m);
         let surprising = off_m * self.camera.focal_px().0 > SURPRISE_PX * found.height_m;
-        let wanted =
-            self.learned.usual_presence() * if surprising { SURPRISING_PRESENCE } else { DOUBTFUL_PRESENCE };
-        // The support counts corners out of view too: the presence is never below it.
+        let wanted = self.learned.usual_inlier_ratio()
+            * if surprising { SURPRISING_INLIER_RATIO } else { AMBIGUOUS_INLIER_RATIO };
+        // The support counts corners out of view too: the inlier_ratio is never below it.
         measurement.support < wanted
             && self
                 .keyframe
                 .as_ref()
-                .is_some_and(|keyframe| follow::presence(keyframe, &self.camera, measurement) < wanted)
+                .is_some_and(|keyframe| measurement.inlier_ratio(keyframe, &self.camera) < wanted)
     }
 
     /// The pose of a frame anywhere over known ground. Takes up the keyframe in which it was found.
@@ -57,35 +57,35 @@ impl Odometry {
         if self.config.motion.model == MotionModel::Mean {
             return near;
         }
-        let least = CHANCE_PRESENCE * self.learned.usual_presence();
+        let least = CHANCE_INLIER_RATIO * self.learned.usual_inlier_ratio();
         let near = near.and_then(|measurement| {
-            let presence = follow::presence(keyframe, &self.camera, &measurement);
-            if presence < SURPRISING_PRESENCE * self.learned.usual_presence()
-                && follow::stands_still(keyframe, &self.camera, &measurement)
+            let inlier_ratio = measurement.inlier_ratio(keyframe, &self.camera);
+            if inlier_ratio < SURPRISING_INLIER_RATIO * self.learned.usual_inlier_ratio()
+                && measurement.stands_still(keyframe, &self.camera)
             {
                 return Err(LossReason::Shadow);
             }
-            if presence >= least {
+            if inlier_ratio >= least {
                 return Ok(measurement);
             }
             let Measurement { found, prediction, .. } = &measurement;
-            Err(follow::why_not(keyframe, &self.camera, found, prediction))
+            Err(tracking::reason_of_loss(keyframe, &self.camera, found, prediction))
         });
-        if Texture::of(pyramid, self.fixed.mask()) == Texture::Faint {
+        if TextureClass::of(pyramid, self.fixed.mask()) == TextureClass::Faint {
             return near;
         }
         let reason = near.as_ref().err().copied().unwrap_or(LossReason::NotPlanar);
         let (expected, frames) = (last.extrapolated(time_s), self.lost_frames);
-        let lost = Lost { pyramid, last, expected, frames, doubtful: near.ok() };
+        let lost = Lost { pyramid, last, expected, frames, ambiguous: near.ok() };
         let (camera, config, mut random) = (&self.camera, &self.config, Random::new(self.frames));
         let found =
             self.recovery.find(lost, keyframe, &mut self.memory, camera, config, &self.learned, &mut random);
         let found = found.ok_or(reason)?;
         let shadow = self.lost_frames < MOST_SHADOWED
             && found.remembered.is_none()
-            && follow::presence(keyframe, camera, &found.measurement)
-                < SURPRISING_PRESENCE * self.learned.usual_presence()
-            && follow::stands_still(keyframe, camera, &found.measurement);
+            && found.measurement.inlier_ratio(keyframe, camera)
+                < SURPRISING_INLIER_RATIO * self.learned.usual_inlier_ratio()
+            && found.measurement.stands_still(keyframe, camera);
         if shadow {
             return Err(LossReason::Shadow);
         }
@@ -100,7 +100,7 @@ impl Odometry {
         match &self.keyframe {
             Some(keyframe) if measurement.support < self.enough_support() => {
                 let mut random = Random::new(self.frames);
-                follow::confirm(
+                tracking::confirm(
                     keyframe,
                     pyramid,
                     &self.camera,

@@ -11,7 +11,7 @@ use std::time::Instant;
 
 /// The mosaic so far, and the frames from which it is rendered again at the end, at their final
 /// poses.
-pub struct Laying {
+pub struct MosaicRendering {
     camera: Camera,
     /// Whether there may be viewers.
     shown: bool,
@@ -28,7 +28,7 @@ pub struct Laying {
 }
 
 /// Results besides the mosaic.
-pub struct LayingSummary {
+pub struct MosaicRenderingSummary {
     pub views: MosaicFrames,
     /// Why not all frames for the final mosaic could be stored.
     pub failure: Option<Error>,
@@ -36,7 +36,7 @@ pub struct LayingSummary {
     pub times: Timings,
 }
 
-impl Laying {
+impl MosaicRendering {
     /// For a run with this output folder. Without viewers frames are only stored for the end.
     pub fn new(camera: Camera, folder: &Path, shown: bool) -> Self {
         Self {
@@ -65,14 +65,14 @@ impl Laying {
     pub fn next(&mut self, posed: Posed) {
         let started = Instant::now();
         if let Some(before) = self.before.take().filter(|before| before.segment != posed.segment) {
-            self.lay(&before);
+            self.render(&before);
         }
         if self.failure.is_none() {
             self.failure = self.views.next(posed.clone()).err();
         }
         if self.shown {
             if self.mosaic.wants(&self.camera, &self.correction.apply_to_pose(&posed.pose)) {
-                self.lay(&posed);
+                self.render(&posed);
             } else {
                 self.before = Some(posed);
             }
@@ -80,7 +80,7 @@ impl Laying {
         self.times.push(started.elapsed());
     }
 
-    fn lay(&mut self, posed: &Posed) {
+    fn render(&mut self, posed: &Posed) {
         let pose = self.correction.apply_to_pose(&posed.pose);
         if posed.frame.has_color() {
             self.mosaic.add(&posed.frame.rgb(), &self.camera, &pose);
@@ -90,11 +90,11 @@ impl Laying {
     }
 
     /// The mosaic with the last frame, and the rest.
-    pub fn finished(mut self) -> (Mosaic, LayingSummary) {
+    pub fn finished(mut self) -> (Mosaic, MosaicRenderingSummary) {
         if let Some(before) = self.before.take() {
-            self.lay(&before);
+            self.render(&before);
         }
         let Self { mosaic, views, failure, times, .. } = self;
-        (mosaic, LayingSummary { views, failure, times })
+        (mosaic, MosaicRenderingSummary { views, failure, times })
     }
 }

@@ -6,13 +6,13 @@ use super::footprint::{GroundCamera, GroundSample};
 use super::tiles::{Lookup, TILE};
 use crate::camera::Camera;
 use crate::geometry::GroundPoint;
-use crate::image::simd::ground::{Feather, LANES, Places, lay_eight};
+use crate::image::simd::ground::{Feather, LANES, Places, orthorectify_eight};
 use crate::numerics::median;
 use std::ops::Range;
 
 /// Side of the blocks, in ground pixels, within which the way from the ground to the image is taken
 /// as bilinear. At a strong lens distortion (k1 = −0.3) the error is below 0.02 px. A row of a
-/// block is laid at a time.
+/// block is orthorectified at a time.
 pub(super) const BLOCK: i64 = LANES as i64;
 /// Share of the brightness difference to the existing ground that is compensated; below 1, so that
 /// small errors decay along the path instead of adding up.
@@ -81,7 +81,7 @@ impl Mosaic {
     }
 
     /// Adds the frame to all blocks. Returns whether any ground was changed.
-    pub(super) fn lay<const N: usize>(
+    pub(super) fn orthorectify<const N: usize>(
         &mut self,
         blocks: &Blocks,
         view: &GroundCamera<'_>,
@@ -90,10 +90,10 @@ impl Mosaic {
     ) -> bool {
         let gains = self.gains::<N>(blocks);
         let feather = feather(camera);
-        let Some(frame) = self.samples.laid(feather, gains) else { return false };
+        let Some(frame) = self.samples.unrectified(feather, gains) else { return false };
         let corners_of = |column, row| corners_of(&self.corners, blocks, column, row);
         let mut lookup = Lookup::new();
-        let mut laid = false;
+        let mut covered = false;
         for row in blocks.rows.clone() {
             for column in blocks.columns.clone() {
                 let corners = corners_of(column, row);
@@ -118,11 +118,11 @@ impl Mosaic {
                         }
                         _ => row_by_itself(view, resolution_m, left, top + j as i64),
                     };
-                    laid |= lay_eight(&frame, &places, pixels);
+                    covered |= orthorectify_eight(&frame, &places, pixels);
                 }
             }
         }
-        laid
+        covered
     }
 }
 

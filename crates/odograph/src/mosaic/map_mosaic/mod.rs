@@ -104,8 +104,8 @@ impl MapMosaic {
         // A keyframe from far above shows more ground than fits in memory, and more coarsely than
         // the others.
         let pixels = (map.camera.width() * map.camera.height()) as f64;
-        keyframes.retain(|laid| {
-            let [left, bottom, right, top] = laid.bounds;
+        keyframes.retain(|placed| {
+            let [left, bottom, right, top] = placed.bounds;
             (right - left) * (top - bottom) / (resolution_m * resolution_m) <= 64.0 * pixels + 1e6
         });
         let patches = patches(&keyframes, resolution_m);
@@ -148,10 +148,16 @@ impl MapMosaic {
         };
         self.patch.begin(column * PATCH, row * PATCH, self.resolution_m);
         for &index in &keyframes {
-            let laid = &self.keyframes[index];
-            let Some(view) = GroundCamera::new(&self.camera, &laid.pose) else { continue };
-            let image = self.images.get(laid.id, images)?;
-            self.patch.lay(image, &view, laid.bounds, self.gains.of(index), self.gains.darkening());
+            let placed = &self.keyframes[index];
+            let Some(view) = GroundCamera::new(&self.camera, &placed.pose) else { continue };
+            let image = self.images.get(placed.id, images)?;
+            self.patch.orthorectify(
+                image,
+                &view,
+                placed.bounds,
+                self.gains.of(index),
+                self.gains.darkening(),
+            );
         }
         Ok(Some(self.patch.tiles()))
     }
@@ -159,12 +165,12 @@ impl MapMosaic {
 
 /// The resolution asked for, or that of the median keyframe, within bounds.
 fn resolution_m(keyframes: &[PlacedKeyframe], asked: Option<f64>) -> Option<f64> {
-    let mut samples: Vec<f64> = keyframes.iter().map(|laid| laid.sample_m).collect();
+    let mut samples: Vec<f64> = keyframes.iter().map(|placed| placed.sample_m).collect();
     let median = median(&mut samples)?;
     let asked = asked.filter(|asked| asked.is_finite() && *asked > 0.0);
     let mut resolution_m = asked.map_or(median, |asked| asked.max(0.25 * median));
     let farthest =
-        keyframes.iter().flat_map(|laid| laid.bounds).fold(0.0, |far: f64, side| far.max(side.abs()));
+        keyframes.iter().flat_map(|placed| placed.bounds).fold(0.0, |far: f64, side| far.max(side.abs()));
     while 2.0 * farthest > WIDEST * resolution_m {
         resolution_m *= 2.0;
     }
@@ -181,8 +187,8 @@ fn touched(from_m: f64, to_m: f64, side_m: f64) -> Range<i64> {
 fn patches(keyframes: &[PlacedKeyframe], resolution_m: f64) -> Vec<((i64, i64), Vec<usize>)> {
     let side_m = (PATCH * TILE) as f64 * resolution_m;
     let mut found: BTreeMap<(i64, i64), Vec<usize>> = BTreeMap::new();
-    for (index, laid) in keyframes.iter().enumerate() {
-        let [left, bottom, right, top] = laid.bounds;
+    for (index, placed) in keyframes.iter().enumerate() {
+        let [left, bottom, right, top] = placed.bounds;
         for row in touched(-top, -bottom, side_m) {
             for column in touched(left, right, side_m) {
                 found.entry((row, column)).or_default().push(index);
@@ -197,8 +203,8 @@ fn patches(keyframes: &[PlacedKeyframe], resolution_m: f64) -> Vec<((i64, i64), 
 
 fn tiles(keyframes: &[PlacedKeyframe], resolution_m: f64) -> Option<(Range<i64>, Range<i64>)> {
     let side_m = TILE as f64 * resolution_m;
-    let one = |laid: &PlacedKeyframe| {
-        let [left, bottom, right, top] = laid.bounds;
+    let one = |placed: &PlacedKeyframe| {
+        let [left, bottom, right, top] = placed.bounds;
         (touched(left, right, side_m), touched(-top, -bottom, side_m))
     };
     let wide = |a: Range<i64>, b: Range<i64>| a.start.min(b.start)..a.end.max(b.end);

@@ -1,0 +1,94 @@
+//! `odograph doctor`: what will limit the accuracy of a recording, and what to change.
+
+use super::run::{CameraSetup, ConsoleObserver, ProfileChoice};
+use crate::{Outcome, console};
+use odograph::error::{Error, Result};
+use odograph_session::{Diagnosis, Finding, Judgement, RunBuilder, SourcePlan};
+use std::path::PathBuf;
+
+/// Say what limits the accuracy of a recording, and what to change.
+///
+/// Looks at some 300 frames, spread over the first 9000, and writes nothing. One line for each
+/// thing that was examined: good, limits (less accurate than it could be) or spoils (wrong, or
+/// lost).
+#[derive(Debug, clap::Args)]
+#[command(after_help = EXAMPLES)]
+pub struct DoctorArguments {
+    /// A video, a folder of pictures, a robot recording, or `-` for Y4M on standard input.
+    #[arg(value_name = "FILE")]
+    file: String,
+    #[command(flatten)]
+    setup: CameraSetup,
+    #[command(flatten)]
+    chosen: ProfileChoice,
+    /// Topic with the images, where a robot recording (MCAP, ROS bag) has several.
+    #[arg(help_heading = "Recording", long, value_name = "NAME")]
+    topic: Option<String>,
+    /// Times of the frames: lines of `seconds name`, or EuRoC's CSV in nanoseconds.
+    #[arg(help_heading = "Recording", long, value_name = "FILE")]
+    timestamps: Option<PathBuf>,
+    /// Frames a second, where the source does not say.
+    #[arg(help_heading = "Recording", long, value_name = "RATE", allow_negative_numbers = true)]
+    fps: Option<f64>,
+    /// Print JSON to standard output.
+    #[arg(long)]
+    json: bool,
+    /// Say nothing but errors and what limits or spoils the accuracy.
+    #[arg(short, long)]
+    quiet: bool,
+}
+
+const EXAMPLES: &str = "\
+Examples:
+  odograph doctor drive.mp4
+  odograph doctor drive.mp4 --camera camera.yaml --height 0.75
+  odograph doctor drive.mcap --profile cart --json
+
+Ends with 0 when nothing spoils the result, 2 on wrong usage, 3 on bad input, 4 when something does.";
+
+/// Runs the command.
+pub fn doctor(arguments: DoctorArguments) -> Result<Outcome> {
+    let setup = arguments.setup.or_of_profile(arguments.chosen.profile.as_deref())?;
+    setup.question(arguments.quiet);
+    let source = SourcePlan {
+        topic: arguments.topic,
+        timestamps: arguments.timestamps,
+        fps: arguments.fps,
+        ..SourcePlan::new(&arguments.file)
+    };
+    let diagnosis = setup.of_run(RunBuilder::over(source)).examine(&ConsoleObserver::new(arguments.quiet))?;
+    if arguments.json {
+        let text = serde_json::to_string_pretty(&diagnosis)
+            .map_err(|error| Error::output(format!("the findings cannot be written as JSON: {error}")))?;
+        console::print(&(text + "\n"))?;
+    } else {
+        console::print(&text(&arguments.file, &diagnosis, arguments.quiet))?;
+    }
+    if !arguments.quiet {
+        diagnosis.warnings.iter().for_each(|warning| console::warn(warning));
+    }
+    Ok(match diagnosis.worst() {
+        Judgement::Good | Judgement::Limits => Outcome::Done,
+        Judgement::Spoils => Outcome::NotToBeTrusted,
+    })
+}
+
+/// The findings, one on a line.
+fn text(file: &str, diagnosis: &Diagnosis, only_bad: bool) -> String {
+    let Diagnosis { description, frames_looked_at, duration_s, findings, .. } = diagnosis;
+    let of_all = diagnosis.frames.map_or_else(String::new, |frames| format!(" of {frames}"));
+    let head = match only_bad {
+        true => String::new(),
+        false => format!(
+            "{file}: {description}\n{frames_looked_at}{of_all} frames looked at, spread over {duration_s:.1} s\n"
+        ),
+    };
+    let told = findings.iter().filter(|finding| !only_bad || finding.judgement != Judgement::Good);
+    head + &told.map(line).collect::<String>()
+}
+
+fn line(finding: &Finding) -> String {
+    let Finding { topic, judgement, measured, advice, .. } = finding;
+    let advice = advice.as_ref().map_or_else(String::new, |advice| format!("; {advice}"));
+    format!("{:<7} {topic}: {measured}{advice}\n", judgement.name())
+}

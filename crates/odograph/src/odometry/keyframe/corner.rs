@@ -1,0 +1,104 @@
+//! A corner of a keyframe, and what later frames measured of its elevation.
+
+use super::super::moving_ground::StrayCount;
+use crate::camera::Camera;
+use crate::flow::{Template, Warp};
+use crate::geometry::{GroundPoint, GroundPose};
+use crate::motion::{Elevation, GroundPatch, MeasuredElevation, SIGNIFICANT_SQUARED, ViewingPose};
+use nalgebra::Vector2;
+
+/// A corner of a keyframe.
+#[derive(Debug)]
+pub struct KeyCorner {
+    pub template: Template,
+    /// Where it lies on the ground.
+    pub patch: GroundPatch,
+    /// Its elevation as earlier keyframes have it; `None` on flat ground.
+    pub elevation: Option<Elevation>,
+    /// Its elevation by the frame that determines it best.
+    pub(super) measured: Option<MeasuredElevation>,
+    /// Its elevation by an earlier frame, and how often later ones confirmed that it is off the
+    /// ground.
+    seen_before: Option<MeasuredElevation>,
+    confirmations: usize,
+    pub(super) is_on_kerb: bool,
+    pub(super) strays: StrayCount,
+    /// How it was last found.
+    pub seen: Warp,
+}
+
+/// A corner is on a kerb where an elevation was confirmed this many times, each time by this many
+/// times the information of the time before: a parallax that is half as long again.
+const CONFIRMATIONS: usize = 2;
+const LONGER_PARALLAX: f64 = 2.0;
+
+impl KeyCorner {
+    /// A corner whose template lies on `patch`; `elevation` is what earlier keyframes measured.
+    pub(super) fn new(template: Template, patch: GroundPatch, elevation: Option<Elevation>) -> Self {
+        Self {
+            seen: Warp::translation(template.centre()),
+            template,
+            patch,
+            elevation,
+            measured: None,
+            seen_before: None,
+            confirmations: 0,
+            is_on_kerb: false,
+            strays: StrayCount::default(),
+        }
+    }
+
+    /// Drops the measured elevations: they were measured under another calibration.
+    pub(super) fn forget_elevations(&mut self) {
+        (self.measured, self.seen_before, self.confirmations) = (None, None, 0);
+    }
+
+    /// Compares its elevation with that of an earlier frame, where the parallax has grown enough
+    /// since, and gives the earlier one. Where both say several times that it is off the ground it
+    /// is on a kerb, and its elevation may be anything up to `highest_m`; with `None` the tracks
+    /// are off for another reason.
+    pub(super) fn compare(
+        &mut self,
+        seen: &MeasuredElevation,
+        highest_m: Option<f64>,
+    ) -> Option<MeasuredElevation> {
+        let Some(before) = self.seen_before else {
+            self.seen_before = Some(*seen);
+            return None;
+        };
+        if seen.parallax_squared < LONGER_PARALLAX * before.parallax_squared {
+            return None;
+        }
+        self.seen_before = Some(*seen);
+        let off_m = seen.alone_m - before.alone_m;
+        let variance_m2 = 1.0 / seen.information + 1.0 / before.information;
+        let confirms =
+            seen.is_significant && before.is_significant && off_m * off_m < SIGNIFICANT_SQUARED * variance_m2;
+        self.confirmations = if confirms { self.confirmations + 1 } else { 0 };
+        if let Some(highest_m) = highest_m
+            && self.confirmations >= CONFIRMATIONS
+            && !self.is_on_kerb
+        {
+            self.is_on_kerb = true;
+            let mean_m = self.patch.elevation_m;
+            self.elevation = Some(Elevation { mean_m, variance_m2: highest_m * highest_m });
+        }
+        Some(before)
+    }
+
+    /// How far from its patch a camera at `pose` is expected to see it for its measured elevation,
+    /// pixels.
+    pub fn parallax_px(&self, camera: &Camera, keyframe: &GroundPose, pose: &ViewingPose) -> Vector2<f64> {
+        let Some(MeasuredElevation { elevation: measured, .. }) = self.measured else {
+            return Vector2::zeros();
+        };
+        let GroundPatch { ground, elevation_m, .. } = self.patch;
+        let nearer = (keyframe.height_m - measured.mean_m) / (keyframe.height_m - elevation_m);
+        let raised = GroundPoint::new(
+            keyframe.x_m + nearer * (ground.x_m - keyframe.x_m),
+            keyframe.y_m + nearer * (ground.y_m - keyframe.y_m),
+        );
+        let (from, to) = (self.patch.pixel(camera, pose), pose.pixel(camera, raised, measured.mean_m));
+        from.zip(to).map_or(Vector2::zeros(), |(from, to)| Vector2::new(to.x - from.x, to.y - from.y))
+    }
+}

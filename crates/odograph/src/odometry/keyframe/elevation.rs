@@ -1,0 +1,112 @@
+//! The elevations of a keyframe's corners: relief, undulation and kerbs.
+
+use super::super::found_corner::FoundCorner;
+use super::super::surface::Surface;
+use super::Keyframe;
+use super::corner::KeyCorner;
+use crate::camera::Camera;
+use crate::geometry::{GroundPoint, GroundPose};
+use crate::motion::{Elevation, GroundPatch, MAX_KERB_HEIGHT, MotionEstimate, Roughness};
+
+/// Ground within this part of the height is below the camera.
+const BELOW: f64 = 0.15;
+
+/// Frames whose tracks are off by more than this, pixels, show no kerb: the shutter rolls, or
+/// images are blurred.
+const KERB_PX: f64 = 0.3;
+
+/// Of fewer confirmed corners a kerb is not remembered: tracks that slip along an edge are off the
+/// ground as well.
+const CORNERS_OF_KERB: usize = 12;
+
+impl Keyframe {
+    /// Sets the mean elevation of its corners so that the ground below the camera is on the plane
+    /// z = 0, as the height of the rig has it.
+    pub fn set_level(&mut self, camera: &Camera, relief_m2: f64) {
+        if relief_m2 <= 0.0 {
+            return;
+        }
+        let Some(surface) = self.surface_now(relief_m2) else { return };
+        self.undulates = surface.is_smooth();
+        if !self.undulates {
+            return;
+        }
+        let below = surface.at(GroundPoint::new(self.pose.x_m, self.pose.y_m));
+        self.level_m -= below.mean_m;
+        self.corners.iter_mut().filter_map(|corner| corner.measured.as_mut()).for_each(|measured| {
+            measured.elevation.mean_m -= below.mean_m;
+        });
+        self.project_again(camera);
+    }
+
+    /// The weight of a corner in the level of the ground below a camera at `pose`.
+    pub fn level_weight(&self, corner: usize, pose: &GroundPose) -> f64 {
+        if !self.undulates {
+            return 1.0;
+        }
+        let GroundPatch { ground, .. } = self.corners[corner].patch;
+        let squared_m2 = (ground.x_m - pose.x_m).powi(2) + (ground.y_m - pose.y_m).powi(2);
+        (1.0 + squared_m2 / (BELOW * pose.height_m).powi(2)).powi(-2)
+    }
+
+    /// Whether the ground undulates.
+    pub fn undulates(&self) -> bool {
+        self.undulates
+    }
+
+    /// Takes a surface into use that earlier keyframes saw.
+    pub fn set_surface(&mut self, surface: Option<Surface>) {
+        self.undulates = surface.as_ref().is_some_and(Surface::is_smooth);
+        self.surface = surface;
+    }
+
+    /// Learns the elevations of its corners from a frame measured against it, and how rough the
+    /// ground is; kerbs only where the shutter is known, because skew looks like one.
+    pub fn learn_elevations(
+        &mut self,
+        found: &[FoundCorner],
+        frame: &MotionEstimate,
+        sees_kerbs: bool,
+    ) -> Roughness {
+        let mut roughness = Roughness::default();
+        let level_m = self.surface.as_ref().map_or(self.level_m, Surface::mean_m);
+        let highest_m = MAX_KERB_HEIGHT * self.pose.height_m;
+        let is_exact = sees_kerbs && frame.residual_px < KERB_PX;
+        for ((found, seen), agrees) in found.iter().zip(&frame.elevations).zip(&frame.inliers) {
+            let corner = &mut self.corners[found.corner];
+            if seen.is_plausible
+                && let Some(before) = corner.compare(seen, is_exact.then_some(highest_m))
+            {
+                let [first, second] = [&before, seen].map(|seen| (seen.alone_m - level_m, seen.information));
+                roughness.add([first, second]);
+            }
+            if *agrees
+                && !seen.is_significant
+                && seen.elevation.variance_m2 > 0.0
+                && corner.measured.is_none_or(|known| seen.parallax_squared > known.parallax_squared)
+            {
+                corner.measured = Some(*seen);
+            }
+        }
+        roughness
+    }
+
+    /// The ground as it is known now, where elevations have this variance; `None` where it is flat.
+    pub fn surface_now(&self, relief_m2: f64) -> Option<Surface> {
+        let kerb = self.corners.iter().filter(|corner| corner.is_on_kerb).count();
+        if relief_m2 <= 0.0 && kerb < CORNERS_OF_KERB && self.surface.is_none() {
+            return None;
+        }
+        let point = |corner: &KeyCorner| {
+            let GroundPatch { ground, elevation_m, .. } = corner.patch;
+            let unknown = Elevation { mean_m: elevation_m, variance_m2: relief_m2 };
+            let measured = corner.measured.map(|measured| measured.elevation);
+            let elevation = measured.or(corner.elevation).unwrap_or(unknown);
+            let nearer = (self.pose.height_m - elevation.mean_m) / (self.pose.height_m - elevation_m);
+            let x_m = self.pose.x_m + nearer * (ground.x_m - self.pose.x_m);
+            let y_m = self.pose.y_m + nearer * (ground.y_m - self.pose.y_m);
+            (GroundPoint::new(x_m, y_m), elevation)
+        };
+        Surface::new(self.corners.iter().map(point).collect(), relief_m2)
+    }
+}

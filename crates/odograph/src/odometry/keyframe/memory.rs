@@ -1,0 +1,114 @@
+//! The last keyframes, to be taken up again when the camera comes back to them.
+
+use super::Keyframe;
+use super::overlap::{image_grid, overlap};
+use super::record::KeyframeRecord;
+use crate::camera::Camera;
+use crate::detection::DetectionConfig;
+use crate::fixed_pattern::ImageMask;
+use crate::geometry::GroundPose;
+use crate::motion::ViewingPose;
+use std::collections::VecDeque;
+use std::sync::Arc;
+
+/// The last keyframes, to be taken up again when the camera comes back to them.
+#[derive(Debug)]
+pub struct KeyframeMemory {
+    records: VecDeque<KeyframeRecord>,
+    most: usize,
+    /// What is known by now not to be ground, and how corners are sought where one lies there.
+    mask: Option<(Arc<ImageMask>, DetectionConfig)>,
+}
+
+impl KeyframeMemory {
+    pub fn new(most: usize) -> Self {
+        Self { records: VecDeque::new(), most, mask: None }
+    }
+
+    pub fn remember(&mut self, record: KeyframeRecord) {
+        self.records.push_back(record);
+        while self.records.len() > self.most {
+            self.records.pop_front();
+        }
+    }
+
+    /// Removes and returns the keyframe of which a camera at `pose` sees most, if that is at least
+    /// `least` of its image.
+    pub fn take_best(&mut self, camera: &Camera, pose: &GroundPose, least: f64) -> Option<Keyframe> {
+        let seen = ViewingPose::new(*pose);
+        let rays = image_grid(camera);
+        let overlap = |record: &KeyframeRecord| overlap(&record.pose, &rays, camera, &seen);
+        let best = self
+            .records
+            .iter()
+            .enumerate()
+            .map(|(i, record)| (overlap(record), i))
+            .filter(|(overlap, _)| *overlap >= least)
+            .max_by(|a, b| a.0.total_cmp(&b.0))?;
+        self.take(best.1, camera)
+    }
+
+    /// Sets height and tilt of all records to those of `mount`, if given.
+    pub fn recalibrate(&mut self, mount: Option<&GroundPose>) {
+        for record in &mut self.records {
+            record.view = None;
+            if let Some(mount) = mount {
+                record.pose = record.pose.with_mount_of(mount);
+                record.surface = None;
+            }
+        }
+    }
+
+    /// More is known about what is not ground.
+    pub fn set_mask(&mut self, mask: &Arc<ImageMask>, detection: &DetectionConfig) {
+        self.mask = Some((mask.clone(), *detection));
+    }
+
+    /// Puts a keyframe back that was taken out in vain.
+    pub fn put_back(&mut self, keyframe: Keyframe) {
+        self.remember(keyframe.retire());
+    }
+
+    /// Takes out the keyframe with that index.
+    pub fn take(&mut self, index: usize, camera: &Camera) -> Option<Keyframe> {
+        let mut keyframe = Keyframe::recorded(self.records.remove(index)?);
+        if let Some((mask, detection)) = &self.mask
+            && keyframe.mask.as_ref().is_none_or(|known| !Arc::ptr_eq(known, mask))
+        {
+            keyframe.set_mask(mask, detection);
+        }
+        keyframe.prepare(camera);
+        Some(keyframe)
+    }
+
+    /// Puts a keyframe back where [`KeyframeMemory::take`] took it from.
+    pub fn put_back_at(&mut self, index: usize, keyframe: Keyframe) {
+        self.records.insert(index.min(self.records.len()), keyframe.retire());
+    }
+
+    /// Starts a new segment: remembered keyframes are no longer connected to the present pose.
+    pub fn close_segment(&mut self) {
+        self.records.iter_mut().for_each(|record| record.reachable = false);
+    }
+
+    /// How many keyframes are connected with the present by measurement.
+    pub fn reachable(&self) -> usize {
+        self.records.iter().filter(|record| record.reachable).count()
+    }
+
+    /// The indices of those keyframes, the newest first.
+    pub fn newest(&self) -> Vec<usize> {
+        (0..self.records.len()).rev().filter(|&index| self.records[index].reachable).collect()
+    }
+
+    /// The indices of those keyframes, the nearest to a pose first.
+    pub fn nearest(&self, pose: &GroundPose) -> Vec<usize> {
+        let away = |index: usize| {
+            let other = &self.records[index].pose;
+            (other.x_m - pose.x_m).hypot(other.y_m - pose.y_m)
+        };
+        let mut indices = self.newest();
+        indices.sort_by(|&a, &b| away(a).total_cmp(&away(b)));
+        indices
+    }
+}

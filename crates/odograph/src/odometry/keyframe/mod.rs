@@ -1,0 +1,308 @@
+//! Keyframes: images whose corners lie on the ground as metric points.
+
+mod corner;
+mod elevation;
+mod memory;
+mod moving_corners;
+mod overlap;
+mod projection;
+mod record;
+
+use super::moving_ground::MovingGround;
+use super::surface::Surface;
+use super::texture::{self, TextureClass};
+use crate::camera::Camera;
+use crate::detection::{Detection, DetectionConfig};
+use crate::fixed_pattern::ImageMask;
+use crate::flow::{Template, Warp};
+use crate::geometry::{GroundPose, Pixel};
+use crate::image::{GrayImage, Pyramid};
+use crate::keyframe::KeyframeId;
+use crate::motion::dense::{DenseImage, DenseReference};
+use crate::motion::{CoarseRegistration, GroundView, MotionEstimate, PoseRates, RollingShutter};
+pub use corner::KeyCorner;
+pub use memory::KeyframeMemory;
+use nalgebra::{Matrix3, Matrix6, Matrix6x2, Vector6};
+pub use overlap::{GRID, image_grid, overlap};
+use projection::GroundProjection;
+use record::KeyframeRecord;
+use std::sync::{Arc, OnceLock};
+
+/// Corners this near the border cannot carry a full template with its gradients.
+const MARGIN_PX: usize = 9;
+
+/// An image in use as the reference, with its corners prepared for being found again.
+#[derive(Debug)]
+pub struct Keyframe {
+    /// Its number; one that has not been taken into use yet has none.
+    pub id: Option<KeyframeId>,
+    pub pyramid: Pyramid,
+    pub pose: GroundPose,
+    /// Of the pose against the start of the run, (x, y, heading, height, roll, pitch).
+    pub covariance: Matrix6<f64>,
+    /// How its image was exposed.
+    pub shutter: RollingShutter,
+    /// Variances of the rates of the pose meanwhile.
+    pub rate_variance: PoseRates,
+    /// How the pose changes with the readout time, metres and radians per second: what a readout
+    /// time that is off has done to it since the start.
+    pub by_readout: PoseRates,
+    /// How the pose changes with roll and pitch of the mount.
+    pub by_mount_tilt: Matrix6x2<f64>,
+    /// Mean elevation of its corners where no earlier keyframe saw them, metres.
+    level_m: f64,
+    /// Whether the ground undulates, so that its level is its elevation below the camera.
+    undulates: bool,
+    /// The ground that earlier keyframes saw, where it is not flat.
+    pub surface: Option<Surface>,
+    pub corners: Vec<KeyCorner>,
+    /// What of the image is known not to be ground.
+    pub mask: Option<Arc<ImageMask>>,
+    /// How many corners it began with.
+    pub corners_at_first: usize,
+    /// Ground that moves by itself.
+    pub moving: MovingGround,
+    /// Where the corners are, enough to prepare the keyframe again; [`Keyframe::find`] gives them.
+    places: Vec<(usize, usize)>,
+    /// What looks for them, where only a part of the image has been looked at.
+    sought: Option<Box<Detection>>,
+    /// How many of the places have been prepared.
+    prepared: usize,
+    /// Whether the corners are prepared in two halves, the second one frame later, where there is
+    /// time.
+    pub in_halves: bool,
+    /// The ground as the keyframe saw it, for coarse registration; made when it is first needed.
+    view: Option<GroundView>,
+    /// What can be made of its corners; found out when it is first needed.
+    texture: OnceLock<TextureClass>,
+    /// The whole image, to be compared with others; made when it is first needed.
+    dense: OnceLock<DenseReference>,
+}
+
+/// What looks for the corners of an image outside the mask.
+fn sought(image: &GrayImage, mask: Option<&Arc<ImageMask>>, detection: &DetectionConfig) -> Detection {
+    let sought = Detection::new((image.width(), image.height()), detection, MARGIN_PX);
+    sought.without(mask.cloned(), 0)
+}
+
+impl Keyframe {
+    /// Makes a keyframe of an image at a known pose: finds its corners and projects them onto the
+    /// ground.
+    pub fn new(
+        pyramid: Pyramid,
+        pose: GroundPose,
+        covariance: Matrix6<f64>,
+        mask: Option<&Arc<ImageMask>>,
+        camera: &Camera,
+        detection: &DetectionConfig,
+    ) -> Self {
+        let mut keyframe = Self::to_be_prepared(pyramid, pose, covariance, mask, detection);
+        keyframe.prepare(camera);
+        keyframe
+    }
+
+    /// The same with corners detected in half of the image; [`Keyframe::prepare`] must be called
+    /// before measuring against it. The frame that becomes a keyframe is among the slowest; the
+    /// next one does the rest.
+    pub fn to_be_prepared(
+        pyramid: Pyramid,
+        pose: GroundPose,
+        covariance: Matrix6<f64>,
+        mask: Option<&Arc<ImageMask>>,
+        detection: &DetectionConfig,
+    ) -> Self {
+        let image = pyramid.base();
+        let mut sought = sought(image, mask, detection);
+        sought.look(image, image.height() / 2);
+        let rows = image.height();
+        let record = KeyframeRecord {
+            id: None,
+            pyramid,
+            pose,
+            covariance,
+            shutter: RollingShutter {
+                readout_s: 0.0,
+                rows,
+                rates: PoseRates::zeros(),
+                accelerations: PoseRates::zeros(),
+            },
+            rate_variance: PoseRates::zeros(),
+            by_readout: PoseRates::zeros(),
+            by_mount_tilt: Matrix6x2::zeros(),
+            surface: None,
+            mask: mask.cloned(),
+            places: Vec::new(),
+            view: None,
+            reachable: true,
+        };
+        Self { sought: Some(Box::new(sought)), ..Self::recorded(record) }
+    }
+
+    /// Where the corners are.
+    fn find(&mut self) -> &[(usize, usize)] {
+        if let Some(sought) = self.sought.take() {
+            let corners = sought.corners(self.pyramid.base());
+            self.places = corners.iter().map(|corner| (corner.x, corner.y)).collect();
+        }
+        &self.places
+    }
+
+    /// Sets the mask. If a corner lies in it, all are detected again, and [`Keyframe::prepare`]
+    /// must be called before measuring.
+    pub fn set_mask(&mut self, mask: &Arc<ImageMask>, detection: &DetectionConfig) {
+        let image = self.pyramid.base();
+        let begun = self.sought.is_some();
+        if begun || self.places.iter().any(|&(x, y)| mask.covers(x, y)) {
+            self.sought = Some(Box::new(sought(image, Some(mask), detection)));
+            self.places.clear();
+            self.corners.clear();
+            (self.prepared, self.corners_at_first, self.in_halves) = (0, 0, false);
+            self.texture = OnceLock::new();
+        }
+        self.mask = Some(mask.clone());
+        self.view = None;
+        self.dense = OnceLock::new();
+    }
+
+    /// Whether a place in the image is known not to be ground.
+    pub fn is_masked(&self, pixel: Pixel) -> bool {
+        self.mask.as_ref().is_some_and(|mask| mask.covers_pixel(pixel))
+    }
+
+    /// Projects the corners onto the ground and prepares their templates, where not done yet. In
+    /// two halves, each spread over the image, one call does one half.
+    pub fn prepare(&mut self, camera: &Camera) {
+        let places = self.find().len();
+        let first = self.prepared;
+        let until = if self.in_halves && first == 0 { places.div_ceil(2) } else { places };
+        if first == until {
+            return;
+        }
+        let ground =
+            GroundProjection::new(camera, &self.pose, &self.shutter, (self.level_m, self.surface.as_ref()));
+        let corner = |&place: &(usize, usize)| {
+            let template = Template::of_finest_level(&self.pyramid, place)?;
+            let centre = template.centre();
+            let (patch, elevation) = ground.patch(centre)?;
+            if self.moving.contains(&patch.ground, self.pose.height_m) {
+                return None;
+            }
+            Some(KeyCorner::new(template, patch, elevation))
+        };
+        self.corners.reserve_exact(places - first);
+        self.corners.extend(self.places[first..until].iter().filter_map(corner));
+        self.prepared = until;
+        self.corners_at_first = self.corners.len();
+    }
+
+    /// Sets right how its image was exposed, and with it where its corners lie.
+    pub fn expose(&mut self, camera: &Camera, shutter: RollingShutter) {
+        self.shutter = shutter;
+        self.project_again(camera);
+    }
+
+    /// Projects its corners onto the ground again with a better calibration: height and tilt of
+    /// `mount`, if given, and this readout time.
+    pub fn recalibrate(&mut self, camera: &Camera, mount: Option<&GroundPose>, readout_s: Option<f64>) {
+        if let Some(mount) = mount {
+            self.pose = self.pose.with_mount_of(mount);
+            self.covariance.fixed_rows_mut::<3>(3).fill(0.0);
+            self.covariance.fixed_columns_mut::<3>(3).fill(0.0);
+            (self.level_m, self.undulates, self.surface) = (0.0, false, None);
+        }
+        self.shutter.readout_s = readout_s.unwrap_or(self.shutter.readout_s);
+        self.dense = OnceLock::new();
+        self.view = None;
+        self.project_again(camera);
+        self.corners.iter_mut().for_each(KeyCorner::forget_elevations);
+    }
+
+    /// Projects its corners onto the ground as it is known now.
+    fn project_again(&mut self, camera: &Camera) {
+        let ground =
+            GroundProjection::new(camera, &self.pose, &self.shutter, (self.level_m, self.surface.as_ref()));
+        for corner in &mut self.corners {
+            if let Some((patch, elevation)) = ground.patch(corner.template.centre()) {
+                (corner.patch, corner.elevation) = (patch, elevation);
+            }
+        }
+    }
+
+    /// In which quarter of the image a corner is.
+    pub fn quadrant(&self, corner: usize) -> usize {
+        let (image, centre) = (self.pyramid.base(), self.corners[corner].template.centre());
+        let is_right = 2.0 * centre.x > image.width() as f64;
+        let is_below = 2.0 * centre.y > image.height() as f64;
+        usize::from(is_right) + 2 * usize::from(is_below)
+    }
+
+    /// What can be made of its corners.
+    pub fn texture(&self) -> TextureClass {
+        *self.texture.get_or_init(|| TextureClass::of(&self.pyramid, self.mask.as_ref()))
+    }
+
+    /// The whole image as a reference for registration, at half resolution: on faint ground the
+    /// rest is noise.
+    pub fn dense(&self, camera: &Camera) -> &DenseReference {
+        self.dense.get_or_init(|| {
+            let image = DenseImage::new(self.pyramid.base()).without(self.mask.clone());
+            DenseReference::new(camera, &image, &self.pose, 1)
+        })
+    }
+
+    /// Whether there is enough to follow: this many corners or, on faint ground, any texture.
+    pub fn can_be_followed(&mut self, corners: usize) -> bool {
+        if self.texture() == TextureClass::Faint {
+            return !texture::is_bare(self.pyramid.base());
+        }
+        if self.prepared > 0 {
+            return self.corners.len() >= corners;
+        }
+        self.sought.as_ref().is_some_and(|sought| sought.will_find(corners)) || self.find().len() >= corners
+    }
+
+    /// Makes the view for coarse registration, where there is none yet.
+    pub fn prepare_view(&mut self, registration: &CoarseRegistration) {
+        if self.view.is_none() {
+            self.view = registration.view(&self.pyramid, self.mask.as_deref(), &self.pose);
+        }
+    }
+
+    /// The view that [`Keyframe::prepare_view`] made; none where it could not be made.
+    pub fn view(&self) -> Option<&GroundView> {
+        self.view.as_ref()
+    }
+
+    /// Covariance of height, roll and pitch.
+    pub fn rig_covariance(&self) -> Matrix3<f64> {
+        self.covariance.fixed_view::<3, 3>(3, 3).into_owned()
+    }
+
+    /// By how much the pose is off as a frame measured against it has it, and the covariance that
+    /// is left: what is learned of height and tilt also corrects the place, as far as their errors
+    /// are correlated.
+    pub fn improved_by(&self, frame: &MotionEstimate) -> (Vector6<f64>, Matrix6<f64>) {
+        let unchanged = (Vector6::zeros(), self.covariance);
+        let Some(error) = &frame.keyframe_error else { return unchanged };
+        let before = self.rig_covariance();
+        let Some(information) = before.try_inverse() else { return unchanged };
+        let gain = self.covariance.fixed_view::<6, 3>(0, 3) * information;
+        let covariance = self.covariance - gain * (before - error.covariance) * gain.transpose();
+        (gain * error.mean, 0.5 * (covariance + covariance.transpose()))
+    }
+
+    /// Keeps only the given corners, with where they were seen.
+    pub fn keep_only(&mut self, seen: impl Iterator<Item = (usize, Warp)>) {
+        let mut kept = vec![None; self.corners.len()];
+        seen.for_each(|(corner, warp)| kept[corner] = Some(warp));
+        let mut index = 0;
+        self.corners.retain_mut(|corner| {
+            let warp = kept[index];
+            index += 1;
+            if let Some(warp) = warp {
+                corner.seen = warp;
+            }
+            warp.is_some()
+        });
+    }
+}

@@ -1,0 +1,52 @@
+//! The corners found, as whitened observations of ground points.
+
+use super::super::found_corner::FoundCorner;
+use super::super::keyframe::Keyframe;
+use super::super::light_field::LightField;
+use crate::buffer::Buffer;
+use crate::camera::Camera;
+use crate::flow::Warp;
+use crate::geometry::{GroundPose, Pixel};
+use crate::motion::{Correspondence, Elevation, Observation, RollingShutter, ShutterPrior, whitened};
+use nalgebra::Vector2;
+
+/// The corners found, each whitened by the covariance of its patch. Pixels of a rolling shutter are
+/// corrected to where a global one would have seen them from `pose`.
+pub(super) fn observations(
+    keyframe: &Keyframe,
+    found: &[FoundCorner],
+    camera: &Camera,
+    pose: &GroundPose,
+    shutter: Option<(&ShutterPrior, &RollingShutter)>,
+    relief_m2: f64,
+) -> Buffer<Observation> {
+    let light = LightField::between(found);
+    let correspondence = |found: &FoundCorner| {
+        let corner = &keyframe.corners[found.corner];
+        let Warp { position, linear } = &found.warp;
+        let bias_px = light.as_ref().map_or_else(Vector2::zeros, |light| {
+            corner.template.model_bias(found.noise).by_illumination(linear, light.slope(*position))
+        });
+        let pixel = Pixel::new(position.x - bias_px.x, position.y - bias_px.y);
+        let (mut ground, mut pixel, mut row_fraction) = (corner.patch.ground, pixel, 0.0);
+        let [x_by_readout, y_by_readout] = corner.patch.by_readout;
+        if let Some((prior, shutter)) = shutter {
+            let later_s = prior.readout.mean_s - keyframe.shutter.readout_s;
+            ground.x_m += later_s * x_by_readout;
+            ground.y_m += later_s * y_by_readout;
+            row_fraction = shutter.row_fraction(pixel.y);
+            pixel = shutter.global_pixel(camera, pose, pixel).unwrap_or(pixel);
+        }
+        let covariance_px2 = found.covariance_px2;
+        let keyframe_row_fraction = keyframe.shutter.row_fraction(corner.template.centre().y);
+        let unknown = Elevation { mean_m: corner.patch.elevation_m, variance_m2: relief_m2 };
+        let elevation = corner.elevation.unwrap_or(unknown);
+        Correspondence { ground, elevation, pixel, covariance_px2, row_fraction, keyframe_row_fraction }
+    };
+    let correspondences: Buffer<Correspondence> = found.iter().map(correspondence).collect();
+    whitened(&correspondences, SHARED_PX2).map_or_else(Buffer::new, |(observations, _)| observations)
+}
+
+/// Lower bound of a track's variance, pixels²: 0.02 px of interpolation and warp error. Where all
+/// tracks are good, all have equal weight.
+const SHARED_PX2: f64 = 4e-4;
