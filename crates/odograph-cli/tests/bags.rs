@@ -6,6 +6,8 @@
 #[allow(dead_code)] // shared with another test
 mod recording;
 
+use odograph::geometry::EarthPosition;
+use odograph::georeference::Anchor;
 use std::borrow::Cow;
 use std::collections::BTreeMap;
 use std::fs;
@@ -106,6 +108,20 @@ fn range(time_ns: u64) -> Vec<u8> {
     message.0
 }
 
+/// `sensor_msgs/msg/NavSatFix` with a deviation of 2 cm; without a fix where there is no place.
+fn fix(time_ns: u64, place: Option<EarthPosition>) -> Vec<u8> {
+    let mut message = Cdr::new(time_ns);
+    message.0.push(if place.is_some() { 2 } else { 255 });
+    message.align(2);
+    message.0.extend(1u16.to_le_bytes());
+    let degrees =
+        place.map_or([f64::NAN; 2], |p| [p.latitude_rad.to_degrees(), p.longitude_rad.to_degrees()]);
+    message.doubles(&[degrees[0], degrees[1], 200.0]);
+    message.doubles(&[4e-4, 0.0, 0.0, 0.0, 4e-4, 0.0, 0.0, 0.0, 1e-3]);
+    message.0.push(2);
+    message.0
+}
+
 /// The frames of a Y4M stream of `recording::y4m`.
 fn views(frames: usize) -> Vec<Vec<u8>> {
     let stream = recording::y4m(frames);
@@ -135,11 +151,16 @@ fn looking_down(z: f64) -> [f64; 7] {
 
 /// Writes an MCAP file with the images on each of the topics.
 fn write(path: &Path, topics: &[&str]) {
-    write_robot(path, topics, &[]);
+    write_robot(path, topics, &[], &[]);
 }
 
-/// The same with static transforms.
-fn write_robot(path: &Path, topics: &[&str], on_robot: &[(&str, &str, [f64; 7])]) {
+/// The same with static transforms, and with positions of a satellite receiver at the frames.
+fn write_robot(
+    path: &Path,
+    topics: &[&str],
+    on_robot: &[(&str, &str, [f64; 7])],
+    fixes: &[Option<EarthPosition>],
+) {
     let file = std::io::BufWriter::new(fs::File::create(path).unwrap());
     let options = mcap::WriteOptions::new().compression(None).profile("ros2");
     let mut writer = options.create(file).unwrap();
@@ -150,6 +171,7 @@ fn write_robot(path: &Path, topics: &[&str], on_robot: &[(&str, &str, [f64; 7])]
     let infos = channel("/front/camera_info", "sensor_msgs/msg/CameraInfo");
     let ranges = channel("/sonar", "sensor_msgs/msg/Range");
     let robot = (!on_robot.is_empty()).then(|| channel("/tf_static", "tf2_msgs/msg/TFMessage"));
+    let receiver = (!fixes.is_empty()).then(|| channel("/gnss/fix", "sensor_msgs/msg/NavSatFix"));
     let images: Vec<u16> = topics.iter().map(|name| channel(name, "sensor_msgs/msg/Image")).collect();
     for (number, view) in views(FRAMES).iter().enumerate() {
         let time_ns = time_ns(number);
@@ -162,6 +184,9 @@ fn write_robot(path: &Path, topics: &[&str], on_robot: &[(&str, &str, [f64; 7])]
         };
         if let Some(robot) = robot.filter(|_| number == 0) {
             put(robot, transforms(time_ns, on_robot));
+        }
+        if let (Some(receiver), Some(place)) = (receiver, fixes.get(number)) {
+            put(receiver, fix(time_ns, *place));
         }
         put(infos, camera_info(time_ns));
         put(ranges, range(time_ns));
@@ -237,7 +262,7 @@ fn the_mount_is_taken_from_the_transforms_of_a_recording() {
     let here = place.path();
     let level = |z: f64| [0.0, 0.0, z, 0.0, 0.0, 0.0, 1.0];
     let robot = [("base_footprint", "base_link", level(0.2)), ("base_link", "camera", looking_down(0.8))];
-    write_robot(&here.join("robot.mcap"), &["/front/image_raw"], &robot);
+    write_robot(&here.join("robot.mcap"), &["/front/image_raw"], &robot, &[]);
     let (_, message) = done(here, "run robot.mcap -o robot");
     assert!(
         message.contains(
@@ -265,7 +290,7 @@ fn the_mount_is_taken_from_the_transforms_of_a_recording() {
 
     // The frame of a camera that is not its optical frame looks ahead.
     let ahead = [("base_link", "camera", level(0.8))];
-    write_robot(&here.join("ahead.mcap"), &["/front/image_raw"], &ahead);
+    write_robot(&here.join("ahead.mcap"), &["/front/image_raw"], &ahead, &[]);
     let (_, message) = done(here, "run ahead.mcap --height 1.0 -o ahead");
     assert!(message.contains("warning: the transforms of ahead.mcap are not used"), "{message}");
     let first = &poses(&here.join("ahead/trajectory.tum"))[0];
@@ -300,7 +325,7 @@ fn a_run_is_written_as_a_bag_of_ros_2() {
     let place = tempfile::tempdir().unwrap();
     let here = place.path();
     let robot = [("base_link", "camera", looking_down(0.8))];
-    write_robot(&here.join("robot.mcap"), &["/front/image_raw"], &robot);
+    write_robot(&here.join("robot.mcap"), &["/front/image_raw"], &robot, &[]);
     done(here, "run robot.mcap --height 1.0 --bag-out poses.mcap -o robot --quiet");
     let odometry = poses(&here.join("robot/odometry.tum"));
     let log = fs::read(here.join("poses.mcap")).unwrap();
@@ -405,4 +430,33 @@ fn info_tells_what_is_in_a_recording_and_what_for() {
     );
     let output = odograph(here, "info camera.yaml");
     assert_eq!(output.status.code(), Some(3));
+}
+
+#[test]
+fn the_fixes_of_a_recording_place_its_path_on_earth() {
+    let place = tempfile::tempdir().unwrap();
+    let here = place.path();
+    write(&here.join("plain.mcap"), &["/front/image_raw"]);
+    done(here, "run plain.mcap --height 1.0 -o plain --quiet");
+    let origin = EarthPosition::from_degrees(48.2082, 16.3738).unwrap();
+    let anchor = Anchor::at(origin, 0.4);
+    let at = |pose: &Vec<f64>| Some(anchor.place(pose[1], pose[2]));
+    let mut fixes: Vec<Option<EarthPosition>> =
+        poses(&here.join("plain/trajectory.tum")).iter().map(at).collect();
+    fixes[3] = None;
+    write_robot(&here.join("drive.mcap"), &["/front/image_raw"], &[], &fixes);
+    let (listed, _) = done(here, "info drive.mcap");
+    assert!(listed.contains("--gnss-topic /gnss/fix"), "{listed}");
+    done(here, "run drive.mcap --height 1.0 --gnss-topic /gnss/fix -o placed --quiet");
+    let statistics = fs::read_to_string(here.join("placed/stats.json")).unwrap();
+    let gnss = &serde_json::from_str::<serde_json::Value>(&statistics).unwrap()["gnss"];
+    assert!(gnss["fixes"] == FRAMES - 1 && gnss["used"] == FRAMES - 1, "{gnss}");
+    assert!((gnss["bearing_deg"].as_f64().unwrap() - 0.4f64.to_degrees()).abs() < 0.05, "{gnss}");
+    assert!(gnss["rmse_m"].as_f64().unwrap() < 1e-3, "{gnss}");
+    let output = odograph(here, "run drive.mcap --height 1.0 --gnss-topic /fix -o refused");
+    let told = String::from_utf8_lossy(&output.stderr).into_owned();
+    assert!(
+        told.contains("there is no topic /fix of the type sensor_msgs/NavSatFix for a satellite receiver"),
+        "{told}"
+    );
 }

@@ -128,6 +128,7 @@ pub fn run(
             gyro_topic,
             wheel_topic,
             range_topic,
+            ..SensorFiles::default()
         };
         let run = RunBuilder::over(plan).sensors(sensors).motion(self::motion(motion)?);
         let run = camera.iter().fold(run, |run, camera| camera.of_run(run));

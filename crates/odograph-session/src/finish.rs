@@ -3,6 +3,8 @@
 //! failures are reported at the end, after everything else is written.
 
 use crate::budget::Budget;
+use crate::earth::{self, GnssRecord, OnEarth};
+use crate::earth_statistics::GnssStatistics;
 use crate::folder::OutputFolder;
 use crate::found::{FoundLens, FoundReadout};
 use crate::kept_frames::KeptFrames;
@@ -26,7 +28,7 @@ use odograph::filter::{Carrier, SmoothedFrame, SmoothedPath, Smoother, fusion};
 use odograph::formats::camera_file;
 use odograph::formats::trajectory_file::{SMOOTHED_HEADER, smoothed_line};
 use odograph::mosaic::Mosaic;
-use odograph::pose_frame::PoseFrame;
+use odograph::pose_frame::{PoseFrame, PoseFrames};
 use odograph::trajectory::{FrameSummary, TrackStatus, distance_m};
 use std::collections::BTreeMap;
 use std::path::Path;
@@ -37,6 +39,8 @@ pub struct Ending<'a> {
     /// Description of the recording.
     pub description: &'a str,
     pub sensors: &'a Sensors,
+    /// Positions by a satellite receiver.
+    pub gnss: Option<&'a GnssRecord>,
     pub output: &'a RunOutput,
     pub reporter: Option<&'a dyn RunReporter>,
     pub observer: &'a dyn Observer,
@@ -52,17 +56,20 @@ pub fn finish(
     ending: &Ending<'_>,
 ) -> Result<RunOutcome> {
     enough(plan, &mut tracked, ending.output)?;
-    let of = plan.pose_frame()?;
-    let mut run = Finishing { failure: ended_early(&mut tracked), plan, of, tracked, folder, ending };
+    let mut of = PoseFrames::from(plan.pose_frame()?);
+    tracked.recalibrated.iter().for_each(|(frame, rig)| of.recalibrate(*frame, rig));
+    let failure = ended_early(&mut tracked);
+    let mut run = Finishing { failure, plan, of: of.clone(), tracked, folder, ending };
     run.report_calibration()?;
     let mut improved = run.improve(ending.sensors)?;
     run.write_paths(&mut improved)?;
     improved.observe(&mut run.tracked, &of, ending.observer)?;
     let frames = improved.summaries(&mut run.tracked, &of)?;
     let place = run.place_in_map(&mut improved)?;
+    let on_earth = run.place_on_earth(&mut improved, &frames)?;
     let Improved { mut corrected, sensors, loops, .. } = improved;
-    run.draw(corrected.as_mut(), &frames, &sensors)?;
-    run.end(frames, place, &sensors, loops)
+    run.draw(corrected.as_mut(), &frames, &sensors, on_earth.as_ref())?;
+    run.end(frames, place, &sensors, loops, on_earth.map(|on_earth| on_earth.statistics))
 }
 
 /// The camera file with the estimated lens, where it differs from the plan.
@@ -75,7 +82,7 @@ const MASK: &str = "mask.png";
 struct Finishing<'a> {
     plan: &'a RunPlan,
     /// The frame whose poses are written and shown.
-    of: PoseFrame,
+    of: PoseFrames,
     /// Frames of the camera in the odometry frame.
     tracked: Tracked,
     folder: &'a mut OutputFolder,
@@ -96,7 +103,7 @@ struct Improved {
 
 impl Improved {
     /// Gives the final frames as poses of `of` to the observer.
-    fn observe(&mut self, tracked: &mut Tracked, of: &PoseFrame, observer: &dyn Observer) -> Result<()> {
+    fn observe(&mut self, tracked: &mut Tracked, of: &PoseFrames, observer: &dyn Observer) -> Result<()> {
         let frames = self.corrected.as_mut().unwrap_or(&mut tracked.frames);
         frames.each(|frame, _| {
             observer.final_frame(&of.frame(frame));
@@ -105,7 +112,7 @@ impl Improved {
     }
 
     /// Their summaries as the path of `of`, for drawings.
-    fn summaries(&mut self, tracked: &mut Tracked, of: &PoseFrame) -> Result<Vec<FrameSummary>> {
+    fn summaries(&mut self, tracked: &mut Tracked, of: &PoseFrames) -> Result<Vec<FrameSummary>> {
         let frames = self.corrected.as_mut().unwrap_or(&mut tracked.frames);
         let mut summaries = Vec::with_capacity(frames.count());
         frames.each(|frame, _| {
@@ -212,8 +219,8 @@ impl Finishing<'_> {
         } else {
             self.folder.remove(MASK)?;
         }
-        let of = self.of;
-        self.folder.write_tum("odometry.tum", &of, |put| {
+        let of = &self.of;
+        self.folder.write_tum("odometry.tum", of.last(), |put| {
             self.tracked.frames.each(|frame, _| of.stamped(frame).as_ref().map_or(Ok(()), &mut *put))
         })?;
         // The map comes after the trajectories because it may not fit on the disk; later outputs
@@ -243,7 +250,7 @@ impl Finishing<'_> {
         }
         let mut in_map = in_map.into_iter();
         files::write_with(path, |output| {
-            let mut bag = RosBagWriter::new(path, output, self.of)?;
+            let mut bag = RosBagWriter::new(path, output, self.of.clone())?;
             self.tracked.frames.each(|frame, _| bag.add(frame, in_map.next().flatten().as_ref()))?;
             bag.finish()
         })?;
@@ -261,24 +268,29 @@ impl Finishing<'_> {
             Ok(())
         })?;
         let path = smoother.smoothed(&self.plan.odometry.filter);
-        let of = self.of;
+        let of = &self.of;
         let mut smoothed = FrameSmoother { frames, path: &path, reckoned: &improved.reckoned };
         self.folder.write_lines("trajectory-smoothed.csv", SMOOTHED_HEADER, |put| {
-            smoothed.each(|frame| put(&smoothed_line(&frame.seen_as(&of))))
+            smoothed.each(|frame| put(&smoothed_line(&frame.seen_as(of.at(frame.frame)))))
         })?;
         let mut carrier = Carrier::for_frames(&self.plan.rig, smoothed.frames.count());
-        self.folder.write_tum("trajectory-smoothed.tum", &of, |put| {
+        self.tracked.recalibrated.iter().for_each(|(frame, rig)| carrier.recalibrate(*frame, rig));
+        self.folder.write_tum("trajectory-smoothed.tum", of.last(), |put| {
             let mut before_s = f64::NEG_INFINITY;
             smoothed.each(|frame| {
                 carrier.push(frame);
                 // Of frames with equal times the first is used.
                 let later = frame.time_s > before_s;
                 before_s = before_s.max(frame.time_s);
-                if later { put(&frame.seen_as(&of).stamped(&of)) } else { Ok(()) }
+                if !later {
+                    return Ok(());
+                }
+                let of = of.at(frame.frame);
+                put(&frame.seen_as(of).stamped(of))
             })
         })?;
         drop(path);
-        let of = *carrier.of();
+        let of = *carrier.of().last();
         let mut carrier = carrier.path();
         self.folder.write_tum("carrier.tum", &of, |put| carrier.try_for_each(|pose| put(&pose)))
     }
@@ -290,11 +302,37 @@ impl Finishing<'_> {
             return Ok(None);
         }
         // Keyframes are where the camera was.
-        let frames = improved.summaries(&mut self.tracked, &PoseFrame::Camera)?;
+        let frames = improved.summaries(&mut self.tracked, &PoseFrame::Camera.into())?;
         let Some(place) = PlaceInMap::last(&frames, self.tracked.mapping.mapper()) else { return Ok(None) };
         drop(frames);
         let frames = improved.summaries(&mut self.tracked, &self.of)?;
         Ok(frames.iter().find(|frame| frame.frame == place.frame).map(|frame| place.of(frame)))
+    }
+
+    /// Where on Earth the run was; writes the path there.
+    fn place_on_earth(
+        &mut self,
+        improved: &mut Improved,
+        frames: &[FrameSummary],
+    ) -> Result<Option<OnEarth>> {
+        let on_earth = match self.ending.gnss {
+            Some(gnss) => {
+                let mut carrier = PoseFrames::of_carrier(&self.plan.rig);
+                let tracked = &mut self.tracked;
+                tracked.recalibrated.iter().for_each(|(frame, rig)| carrier.recalibrate(*frame, rig));
+                let path = earth::antenna_path(
+                    improved.corrected.as_mut().unwrap_or(&mut tracked.frames),
+                    &carrier,
+                    self.plan.antenna.as_ref(),
+                )?;
+                Some(gnss.place(self.plan, &path, frames))
+            }
+            None => None,
+        };
+        self.warn(on_earth.iter().flat_map(|on_earth| on_earth.warnings.clone()));
+        let place = on_earth.as_ref().and_then(|on_earth| on_earth.place.as_ref());
+        earth::write(self.folder, place, frames)?;
+        Ok(on_earth)
     }
 
     /// The mosaic, the map and the page.
@@ -303,6 +341,7 @@ impl Finishing<'_> {
         corrected: Option<&mut KeptFrames>,
         frames: &[FrameSummary],
         sensors: &[SensorReport],
+        on_earth: Option<&OnEarth>,
     ) -> Result<()> {
         let Ending { description, reporter, observer, .. } = *self.ending;
         let threads = self.ending.output.threads();
@@ -342,6 +381,18 @@ impl Finishing<'_> {
             Ok(warning) => warning.clone(),
             Err(error) => Some(format!("the map has no new picture of the ground: {error}")),
         });
+        if let Some(place) = on_earth.and_then(|on_earth| on_earth.place.as_ref()) {
+            let path = self.folder.path().join(earth::UTM_MOSAIC);
+            match tracked.mapping.write_geotiff(&path, &place.anchor) {
+                Ok(true) => self.folder.is_written(path),
+                Ok(false) => self.folder.remove(earth::UTM_MOSAIC)?,
+                Err(error) => {
+                    let told = format!("there is no picture of the ground on Earth: {error}");
+                    tracked.warnings.push(told);
+                    self.failure.get_or_insert(error);
+                }
+            }
+        }
         let interruption = (tracked.interrupted && tracked.live.is_none())
             .then(|| interruption(frames.len() as u64, tracked.announced));
         pictures::write_page(
@@ -366,6 +417,7 @@ impl Finishing<'_> {
         place: Option<PlaceInMap>,
         sensors: &[SensorReport],
         loops: LoopStatistics,
+        gnss: Option<GnssStatistics>,
     ) -> Result<RunOutcome> {
         let map = self.tracked.mapping.written().map(Path::to_owned);
         let closed = self.tracked.mapping.close();
@@ -377,6 +429,7 @@ impl Finishing<'_> {
             self.plan.budget,
             sensors,
             loops,
+            gnss,
             self.ending.started.elapsed(),
         );
         self.folder.finish(&statistics)?;
@@ -403,6 +456,7 @@ fn statistics_of(
     budget: Option<Budget>,
     sensors: &[SensorReport],
     loops: LoopStatistics,
+    gnss: Option<GnssStatistics>,
     elapsed: Duration,
 ) -> RunStatistics {
     let posed = |i: usize| frames[i].place.is_some();
@@ -444,6 +498,7 @@ fn statistics_of(
         frames_announced: tracked.announced.filter(|_| tracked.interrupted),
         live: tracked.live,
         sensors: sensors.iter().map(SensorStatistics::new).collect(),
+        gnss,
     }
 }
 

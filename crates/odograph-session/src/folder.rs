@@ -7,7 +7,7 @@ use crate::output::{MapUse, RunOutput};
 use crate::statistics::RunStatistics;
 use odograph::error::{Error, Result};
 use odograph::formats::trajectory_file::{self, FRAMES_HEADER, frame_line, tum_header, tum_line};
-use odograph::pose_frame::PoseFrame;
+use odograph::pose_frame::{PoseFrame, PoseFrames};
 use odograph::trajectory::{FrameEstimate, StampedPose};
 use odograph_map::{MapClaim, MapFile};
 use std::fs::{self, File};
@@ -15,7 +15,7 @@ use std::io::{Seek, Write};
 use std::path::{Path, PathBuf};
 
 /// Every file that a run writes.
-pub const RUN_FILES: [&str; 16] = [
+pub const RUN_FILES: [&str; 19] = [
     "odometry.tum",
     "map.gpkg",
     "trajectory.tum",
@@ -23,10 +23,13 @@ pub const RUN_FILES: [&str; 16] = [
     "trajectory-smoothed.tum",
     "trajectory-smoothed.csv",
     "carrier.tum",
+    "trajectory.geojson",
+    "trajectory-utm.csv",
     "map.svg",
     "map.png",
     "mosaic.png",
     "mosaic.pgw",
+    "mosaic-utm.tif",
     "report.html",
     "run.toml",
     "camera-found.yaml",
@@ -227,7 +230,7 @@ impl OutputFolder {
     pub fn write_trajectories(
         &mut self,
         frames: &mut KeptFrames,
-        of: &PoseFrame,
+        of: &PoseFrames,
         run_toml: &str,
     ) -> Result<()> {
         // Written under a third name: on a full disk the incremental record must remain, with as
@@ -239,7 +242,7 @@ impl OutputFolder {
         let _ = fs::remove_file(files::beside(&path));
         self.is_written(path);
         self.started = true;
-        self.write_tum("trajectory.tum", of, |put| {
+        self.write_tum("trajectory.tum", of.last(), |put| {
             frames.each(|frame, _| of.stamped(frame).as_ref().map_or(Ok(()), &mut *put))
         })?;
         self.write("run.toml", run_toml.as_bytes())

@@ -1,5 +1,6 @@
 //! The map of a run: written during the run, and applied to the path at the end.
 
+use crate::files;
 use crate::folder::OutputFolder;
 use crate::kept_frames::KeptFrames;
 use crate::observer::Observer;
@@ -10,6 +11,7 @@ use crate::timings::Timings;
 use odograph::camera::{Camera, Rig};
 use odograph::error::{Error, Result};
 use odograph::geometry::{GroundPoint, GroundPose};
+use odograph::georeference::Anchor;
 use odograph::ground_map::{KeyframeImage, KeyframeImages, MapKeyframe};
 use odograph::ground_map::{KeyframeStore, MemoryImages};
 use odograph::keyframe::{EdgeKind, KeyframeId, MapEdge};
@@ -265,6 +267,18 @@ impl Mapping {
             ),
             None => format!("{path} has no picture of the ground; odograph map mosaic {path} renders it"),
         }))
+    }
+
+    /// Writes the mosaic of the map file in UTM. Returns whether there is one.
+    pub fn write_geotiff(&self, path: &Path, anchor: &Anchor) -> Result<bool> {
+        let Some(file) = &self.file.file else { return Ok(false) };
+        let Some(layer) = file.mosaic()? else { return Ok(false) };
+        files::write_with(path, |output| {
+            file.write_geotiff(&layer, output, Some(anchor), &mut || Ok(()))
+                .map(drop)
+                .map_err(|error| error.at(path.display()))
+        })?;
+        Ok(true)
     }
 
     /// Removes the new map file of a run that starts again.

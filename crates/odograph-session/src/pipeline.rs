@@ -11,7 +11,7 @@ use crate::plan::RunPlan;
 use crate::statistics::LiveStatistics;
 use crate::timings::Timings;
 use crate::views::{MosaicFrames, Posed};
-use odograph::camera::Camera;
+use odograph::camera::{Camera, Rig};
 use odograph::error::{Error, Result};
 use odograph::mounting::{CalibrationMonitor, CalibrationUpdate};
 use odograph::odometry::{KeyframeEvent, Odometry};
@@ -26,6 +26,8 @@ use std::time::Instant;
 pub struct Tracked {
     /// Frames, each with its reference.
     pub frames: KeptFrames,
+    /// The rig from a frame on, at each recalibration of a live run.
+    pub recalibrated: Vec<(u64, Rig)>,
     /// Frames of the mosaic.
     pub views: MosaicFrames,
     pub mapping: Mapping,
@@ -132,6 +134,7 @@ pub fn track(
         keyframes: tracking.odometry.keyframes(),
         fixed: FixedInImage::of(&tracking.odometry),
         frames: tracking.frames,
+        recalibrated: Vec::new(),
         views,
         mapping,
         warnings: decoding.source.take_warnings(),

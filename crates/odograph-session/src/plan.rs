@@ -3,7 +3,7 @@
 use crate::budget::Budget;
 use crate::sensors::SensorFiles;
 use crate::{files, mask};
-use odograph::camera::{Camera, Rig};
+use odograph::camera::{Camera, LeverArm, Rig};
 use odograph::error::{Error, Result};
 use odograph::loop_closure::LoopClosureConfig;
 use odograph::odometry::{Odometry, OdometryConfig};
@@ -31,6 +31,9 @@ pub struct RunPlan {
     /// The frame whose poses are written; by default the robot's if the rig has a lever arm.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub frame: Option<FrameChoice>,
+    /// The antenna of the satellite receiver, in `base_link`.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub antenna: Option<LeverArm>,
     /// Mask of what is not ground.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub mask: Option<PathBuf>,
@@ -166,6 +169,7 @@ impl RunPlan {
         plan.odometry.validated().map_err(at_fault)?;
         plan.slam.validated().map_err(at_fault)?;
         plan.pose_frame().map_err(at_fault)?;
+        plan.antenna.map(LeverArm::validated).transpose().map_err(at_fault)?;
         Ok(plan.brought_from(path.parent().unwrap_or(Path::new(""))))
     }
 

@@ -40,6 +40,7 @@ impl RunPlan {
             &mut sensors.heading,
             &mut sensors.wheel,
             &mut sensors.range,
+            &mut sensors.gnss,
         ];
         for path in files.into_iter().flatten() {
             if let Some(other) = change(path) {

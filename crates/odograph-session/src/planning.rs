@@ -5,9 +5,9 @@ use crate::observer::Observer;
 use crate::plan::{FrameChoice, RunPlan, SourcePlan};
 use crate::rig::{read_rig, recorded_rig};
 use crate::{budget, files};
-use odograph::camera::{Camera, Rig};
+use odograph::camera::{Camera, LeverArm, Rig};
 use odograph::error::{Error, Result};
-use odograph::formats::camera_file;
+use odograph::formats::{camera_file, rig_file};
 use odograph::loop_closure::LoopClosureConfig;
 use odograph::motion::MotionModel;
 use odograph::odometry::OdometryConfig;
@@ -70,6 +70,7 @@ impl RunBuilder {
             camera,
             rig,
             frame: self.frame.or(rig.lever_arm.map(|_| FrameChoice::BaseLink)),
+            antenna: self.antenna()?,
             mask: self.mask.clone(),
             sensors: self.sensors.clone(),
             budget,
@@ -80,6 +81,12 @@ impl RunBuilder {
         plan.odometry()?;
         plan.pose_frame()?;
         Ok((plan, source))
+    }
+
+    /// The antenna of the satellite receiver, where the rig file has it.
+    fn antenna(&self) -> Result<Option<LeverArm>> {
+        let Some(MountChoice::File(path)) = &self.mount else { return Ok(None) };
+        rig_file::parse_antenna(&files::read_text(path)?).map_err(|error| error.at(path.display()))
     }
 }
 

@@ -2,6 +2,7 @@
 
 use crate::builder::RunBuilder;
 use crate::camera_watch::CameraWatch;
+use crate::earth::GnssRecord;
 use crate::finish::{Ending, finish};
 use crate::folder::OutputFolder;
 use crate::observer::Observer;
@@ -104,6 +105,7 @@ impl Run {
         let Self { mut plan, source, mut folder, output, reporter, .. } = self;
         let started = Instant::now();
         let sensors = plan.sensors.read(&plan.source.path)?;
+        let gnss = GnssRecord::read(&plan.sensors, &plan.source.path)?;
         // Unreadable inputs are reported before tracking.
         reference::read(&plan)?;
         let description = source.info().description.clone();
@@ -111,6 +113,7 @@ impl Run {
         let ending = Ending {
             description: &description,
             sensors: &sensors,
+            gnss: gnss.as_ref(),
             output: &output,
             reporter: reporter.as_deref(),
             observer,

@@ -24,6 +24,9 @@ pub struct SensorFiles {
     /// Range finder: time_s and height_m, or distance_m along the optical axis.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub range: Option<PathBuf>,
+    /// Satellite receiver: CSV, NMEA 0183 or GPX.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub gnss: Option<PathBuf>,
     /// Topic of the gyroscope: sensor_msgs/Imu.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub gyro_topic: Option<String>,
@@ -33,6 +36,13 @@ pub struct SensorFiles {
     /// Topic of the range finder: sensor_msgs/Range.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub range_topic: Option<String>,
+    /// Topic of the satellite receiver: sensor_msgs/NavSatFix.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub gnss_topic: Option<String>,
+    /// When the recording's time was 0, UTC as `2026-05-04T10:12:33.5Z`, where the receiver's times
+    /// are UTC and the recording's are not.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub gnss_start: Option<String>,
 }
 
 /// Largest size of a sensor file, bytes: days of a gyroscope at 100 Hz.

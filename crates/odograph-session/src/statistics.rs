@@ -1,6 +1,7 @@
 //! Statistics of a run: `stats.json` and the summary.
 
 use crate::budget::Budget;
+use crate::earth_statistics::GnssStatistics;
 use crate::found::{FixedInImage, FoundLens, FoundMount, FoundReadout};
 use crate::timings::Timings;
 use odograph::error::{Error, Result};
@@ -60,6 +61,9 @@ pub struct RunStatistics {
     /// Results of the other sensors; left out if there are none.
     #[serde(skip_serializing_if = "Vec::is_empty")]
     pub sensors: Vec<SensorStatistics>,
+    /// Result of the satellite receiver; left out if there is none.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub gnss: Option<GnssStatistics>,
 }
 
 /// Loop closures and their effect.
@@ -221,8 +225,9 @@ impl RunStatistics {
             true => String::new(),
             false => format!("beside the camera: {}\n", used.join(", ")),
         };
+        let on_earth = self.gnss.as_ref().map_or_else(String::new, GnssStatistics::summary);
         format!(
-            "{:.2} m in {:.1} s; {} of {} frames with a pose, {lost}; {} keyframes\n{:.0} frames/s ({:.0} without decoding)\n{loops}{sensors}{fixed}",
+            "{:.2} m in {:.1} s; {} of {} frames with a pose, {lost}; {} keyframes\n{:.0} frames/s ({:.0} without decoding)\n{loops}{sensors}{on_earth}{fixed}",
             self.distance_m,
             self.duration_s,
             self.frames_with_pose,

@@ -63,6 +63,8 @@ pub enum StreamUse {
     Wheel,
     /// Distance to the ground.
     Range,
+    /// Positions on Earth.
+    Gnss,
     /// Nothing.
     Nothing,
 }

@@ -47,7 +47,9 @@ mod bag;
 mod source;
 mod inspection;
 
-pub use bag::{RecordedMount, is_robot_recording, recorded_camera, recorded_mount, recorded_sensor};
+pub use bag::{
+    RecordedMount, is_robot_recording, recorded_camera, recorded_fixes, recorded_mount, recorded_sensor,
+};
 pub use bayer::BayerPattern;
 pub use contents::{Contents, Gap, Stream, StreamUse};
 pub use frame::{Frame, Picture};

@@ -59,7 +59,8 @@
 //! Derivations with their formulas and references: `docs/math/frames.md` (conventions),
 //! `docs/math/interpolation-bias.md`, `docs/math/frame-pose.md`, `docs/math/elevation.md`,
 //! `docs/math/correlated-noise.md`, `docs/math/rolling-shutter.md`, `docs/math/filter.md`,
-//! `docs/math/extrinsics-from-driving.md`, `docs/math/loop-closure.md`, `docs/math/pose-graph.md`.
+//! `docs/math/extrinsics-from-driving.md`, `docs/math/georeference.md`,
+//! `docs/math/loop-closure.md`, `docs/math/pose-graph.md`.
 
 pub mod error;
 pub mod buffer;
@@ -75,6 +76,7 @@ pub mod motion;
 pub mod trajectory;
 pub mod pose_frame;
 pub mod filter;
+pub mod georeference;
 pub mod keyframe;
 pub mod odometry;
 pub mod pose_graph;

@@ -163,6 +163,56 @@ impl PoseFrame {
     }
 }
 
+/// The frame of a whole path. Where the mount became known better on the way, each pose of the
+/// robot has the rig by which its camera was tracked (`docs/math/frames.md`).
+#[derive(Debug, Clone, PartialEq)]
+pub struct PoseFrames {
+    first: PoseFrame,
+    /// The first frame of each later stretch, ascending.
+    later: Vec<(u64, PoseFrame)>,
+}
+
+impl From<PoseFrame> for PoseFrames {
+    fn from(first: PoseFrame) -> Self {
+        Self { first, later: Vec::new() }
+    }
+}
+
+impl PoseFrames {
+    /// That of the carrier: `base_link`, where the rig has a lever arm, otherwise the camera.
+    pub fn of_carrier(rig: &Rig) -> Self {
+        BaseLink::of(rig).map_or(PoseFrame::Camera, PoseFrame::BaseLink).into()
+    }
+
+    /// The rig is another from a frame on, which is later than those of earlier calls.
+    pub fn recalibrate(&mut self, frame: u64, rig: &Rig) {
+        if let (PoseFrame::BaseLink(_), Some(base)) = (self.first, BaseLink::of(rig)) {
+            self.later.push((frame, PoseFrame::BaseLink(base)));
+        }
+    }
+
+    /// That of the pose at a frame.
+    pub fn at(&self, frame: u64) -> &PoseFrame {
+        let stretches = self.later.partition_point(|&(first, _)| first <= frame);
+        stretches.checked_sub(1).map_or(&self.first, |last| &self.later[last].1)
+    }
+
+    /// That of the end of the path, with the rig that is known best.
+    pub fn last(&self) -> &PoseFrame {
+        self.at(u64::MAX)
+    }
+
+    /// A frame of the camera's path as one of this frame's path.
+    pub fn frame<'a>(&self, camera: &'a FrameEstimate) -> Cow<'a, FrameEstimate> {
+        self.at(camera.frame).frame(camera)
+    }
+
+    /// The stamped pose of this frame at a frame of the camera's path; `None` if that has no pose.
+    pub fn stamped(&self, camera: &FrameEstimate) -> Option<StampedPose> {
+        self.at(camera.frame).stamped(camera)
+    }
+}
+
 #[cfg(test)]
 mod tests {
     use super::*;

@@ -104,6 +104,7 @@ fn option(stream: &Stream) -> Option<String> {
         StreamUse::Gyro => Some(format!("--gyro-topic {topic}")),
         StreamUse::Wheel => Some(format!("--wheel-topic {topic}")),
         StreamUse::Range => Some(format!("--range-topic {topic}")),
+        StreamUse::Gnss => Some(format!("--gnss-topic {topic}")),
         StreamUse::CameraInfo | StreamUse::Nothing => None,
     }
     .filter(|_| usable)
@@ -227,7 +228,7 @@ fn notes(
             }
         }
         (StreamUse::CameraInfo, _) => notes.push("a camera".to_owned()),
-        (StreamUse::Gyro | StreamUse::Wheel | StreamUse::Range, Some(option)) => {
+        (StreamUse::Gyro | StreamUse::Wheel | StreamUse::Range | StreamUse::Gnss, Some(option)) => {
             notes.push(format!("odograph run … {option}"));
         }
         _ => {}

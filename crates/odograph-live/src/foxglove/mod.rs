@@ -45,7 +45,6 @@ pub struct TrackedImage {
 /// An MCAP file while it is being written.
 pub struct McapFile {
     path: PathBuf,
-    of: PoseFrame,
     writer: Writer<NoSeek<BufWriter<File>>>,
     channels: Channels,
     sketch: PathSketch,
@@ -69,12 +68,11 @@ struct Channels {
 }
 
 impl McapFile {
-    /// Creates a file for the path of a frame, and writes the description of the source as
-    /// metadata.
+    /// Creates a file, and writes the description of the source as metadata.
     ///
     /// # Errors
     /// If the file cannot be written.
-    pub fn create(path: &Path, source: &str, of: PoseFrame) -> Result<Self> {
+    pub fn create(path: &Path, source: &str) -> Result<Self> {
         let cannot = |error: &dyn std::fmt::Display| cannot_be_written(path, error);
         let file = File::create(path).map_err(|error| cannot(&error))?;
         let options = WriteOptions::new()
@@ -91,7 +89,6 @@ impl McapFile {
         let (writer, channels) = began().map_err(|error| cannot(&error))?;
         Ok(Self {
             path: path.to_owned(),
-            of,
             writer,
             channels,
             sketch: PathSketch::default(),
@@ -103,14 +100,15 @@ impl McapFile {
         })
     }
 
-    /// Appends a frame of that path, with its image if it is to be stored. Time stamps are those of
-    /// the source; MCAP has no negative times, so they are clamped at 0.
+    /// Appends a frame of the path of `of`, with its image if it is to be stored. Time stamps are
+    /// those of the source; MCAP has no negative times, so they are clamped at 0.
     ///
     /// # Errors
     /// If the file cannot be written. It is unusable from then on.
     pub fn add(
         &mut self,
         frame: &FrameEstimate,
+        of: &PoseFrame,
         latency_ms: f64,
         picture: Option<&TrackedImage>,
     ) -> Result<()> {
@@ -130,11 +128,11 @@ impl McapFile {
             }
         }
         if let Some(known) = &frame.estimate {
-            let placed = self.of.world_from_frame(&known.pose);
-            write(channels.transform, messages::frame_transform(at, WORLD, self.of.name(), &placed));
-            if let PoseFrame::BaseLink(base) = &self.of {
+            let placed = of.world_from_frame(&known.pose);
+            write(channels.transform, messages::frame_transform(at, WORLD, of.name(), &placed));
+            if let PoseFrame::BaseLink(base) = of {
                 let on_robot = base.base_from_camera();
-                write(channels.transform, messages::frame_transform(at, self.of.name(), CAMERA, on_robot));
+                write(channels.transform, messages::frame_transform(at, of.name(), CAMERA, on_robot));
             }
             write(channels.pose, messages::pose_in_frame(at, &placed));
             write(channels.uncertainty, messages::ellipse(at, known));

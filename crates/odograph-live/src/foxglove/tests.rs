@@ -100,10 +100,10 @@ fn conforms(value: &Value, schema: &Value, place: &str) {
 fn messages_read_back_conform_to_their_schemas() {
     let folder = tempfile::tempdir().unwrap();
     let path = folder.path().join("run.mcap");
-    let mut file = McapFile::create(&path, "a drive", PoseFrame::Camera).unwrap();
+    let mut file = McapFile::create(&path, "a drive").unwrap();
     for number in 0..25 {
         let picture = (number % 5 == 0).then(picture);
-        file.add(&frame(number), 3.5, picture.as_ref()).unwrap();
+        file.add(&frame(number), &PoseFrame::Camera, 3.5, picture.as_ref()).unwrap();
     }
     assert_eq!(file.frames(), 25);
     file.finish().unwrap();
@@ -156,8 +156,8 @@ fn messages_read_back_conform_to_their_schemas() {
 fn a_killed_writer_loses_only_the_last_second() {
     let folder = tempfile::tempdir().unwrap();
     let path = folder.path().join("run.mcap");
-    let mut file = McapFile::create(&path, "a drive", PoseFrame::Camera).unwrap();
-    (0..35).for_each(|number| file.add(&frame(number), 3.5, Some(&picture())).unwrap());
+    let mut file = McapFile::create(&path, "a drive").unwrap();
+    (0..35).for_each(|number| file.add(&frame(number), &PoseFrame::Camera, 3.5, Some(&picture())).unwrap());
     // Neither finished nor dropped, as after a power failure.
     std::mem::forget(file);
     let kept = read(&path, false)["/frame"].len();
@@ -172,12 +172,13 @@ fn a_killed_writer_loses_only_the_last_second() {
 #[test]
 #[cfg(target_os = "linux")]
 fn a_full_disk_is_an_error_not_a_panic() {
-    let mut file = match McapFile::create(Path::new("/dev/full"), "a drive", PoseFrame::Camera) {
+    let mut file = match McapFile::create(Path::new("/dev/full"), "a drive") {
         Ok(file) => file,
         Err(error) => return assert!(error.to_string().contains("/dev/full")),
     };
-    let failed = (0..400).find_map(|number| file.add(&frame(number), 3.5, None).err()).unwrap();
+    let failed =
+        (0..400).find_map(|number| file.add(&frame(number), &PoseFrame::Camera, 3.5, None).err()).unwrap();
     assert!(failed.to_string().contains("/dev/full cannot be written"), "{failed}");
-    assert!(file.add(&frame(400), 3.5, None).is_err());
+    assert!(file.add(&frame(400), &PoseFrame::Camera, 3.5, None).is_err());
     drop(file);
 }

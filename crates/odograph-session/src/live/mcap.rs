@@ -27,14 +27,15 @@ pub struct McapLog {
 
 struct Entry {
     frame: FrameEstimate,
+    of: PoseFrame,
     latency_ms: f64,
     picture: Option<TrackedImage>,
 }
 
 impl McapLog {
-    /// A file at `path` with the path of `of`, for a run over a source with this description.
-    pub fn new(path: &Path, source: &str, of: PoseFrame, policy: Policy) -> Result<Self> {
-        let file = McapFile::create(path, source, of).map_err(|error| Error::usage(error.to_string()))?;
+    /// A file at `path`, for a run over a source with this description.
+    pub fn new(path: &Path, source: &str, policy: Policy) -> Result<Self> {
+        let file = McapFile::create(path, source).map_err(|error| Error::usage(error.to_string()))?;
         Ok(Self {
             path: path.to_owned(),
             file: Mutex::new(Some(file)),
@@ -55,9 +56,15 @@ impl McapLog {
         Ok(())
     }
 
-    /// Adds a frame without waiting longer than the run's policy allows; `picture` is only called
-    /// where an image is due.
-    pub fn give(&self, frame: &FrameEstimate, latency_ms: f64, picture: impl FnOnce() -> TrackedImage) {
+    /// Adds a frame of the path of `of` without waiting longer than the run's policy allows;
+    /// `picture` is only called where an image is due.
+    pub fn give(
+        &self,
+        frame: &FrameEstimate,
+        of: &PoseFrame,
+        latency_ms: f64,
+        picture: impl FnOnce() -> TrackedImage,
+    ) {
         let mut next_s = self.next_picture_s.lock().unwrap_or_else(PoisonError::into_inner);
         // Frame times jitter: a frame that is nearly due is taken.
         let due = next_s.is_none_or(|next_s| frame.time_s >= next_s - 0.2 * PICTURE_EVERY_S);
@@ -69,7 +76,7 @@ impl McapLog {
         }
         drop(next_s);
         let picture = due.then(picture);
-        self.queue.give(Entry { frame: frame.clone(), latency_ms, picture });
+        self.queue.give(Entry { frame: frame.clone(), of: *of, latency_ms, picture });
     }
 
     /// Ends the input.
@@ -82,8 +89,8 @@ impl McapLog {
         let Some(mut file) = self.file.lock().unwrap_or_else(PoisonError::into_inner).take() else { return };
         loop {
             match self.queue.take(Duration::from_secs(1)) {
-                Taken::Item(Entry { frame, latency_ms, picture }) => {
-                    if let Err(error) = file.add(&frame, latency_ms, picture.as_ref()) {
+                Taken::Item(Entry { frame, of, latency_ms, picture }) => {
+                    if let Err(error) = file.add(&frame, &of, latency_ms, picture.as_ref()) {
                         self.fail(&error);
                         // The sender must not wait for a stopped writer.
                         self.queue.close();

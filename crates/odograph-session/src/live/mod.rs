@@ -214,12 +214,11 @@ impl LiveRun {
             .then(|| OnlineCalibration::new(&plan.camera, &plan.rig, lens_is_known));
         let mapping = Mapping::new(&plan, &folder, &output.map)?;
         let recorder = Recorder::new(folder, &plan)?;
-        let log = mcap
-            .map(|path| McapLog::new(&path, &info.description, plan.pose_frame()?, input.policy))
-            .transpose()?;
+        let log = mcap.map(|path| McapLog::new(&path, &info.description, input.policy)).transpose()?;
         let ending = Ending {
             description: &info.description,
             sensors: &Sensors::default(),
+            gnss: None,
             output: &output,
             reporter: reporter.as_deref(),
             observer,

@@ -20,11 +20,12 @@ use crate::pipeline::{StageTimes, Tracked, is_made, number_as_source};
 use crate::plan::RunPlan;
 use crate::statistics::LiveStatistics;
 use crate::views::Posed;
+use odograph::camera::Rig;
 use odograph::error::{Error, Result};
 use odograph::image::GrayImage;
 use odograph::mounting::OnlineCalibration;
 use odograph::odometry::{KeyframeEvent, Odometry, TrackView};
-use odograph::pose_frame::PoseFrame;
+use odograph::pose_frame::PoseFrames;
 use odograph::trajectory::FrameEstimate;
 use odograph_live::capture::{Captured, Newest, Policy, Taken, Watch};
 use odograph_live::foxglove::TrackedImage;
@@ -62,7 +63,8 @@ pub fn follow(
     let mut following = Following {
         odometry,
         calibration,
-        of: plan.pose_frame()?,
+        of: plan.pose_frame()?.into(),
+        recalibrated: Vec::new(),
         frames: KeptFrames::new(recorder.path()),
         times: StageTimes::default(),
         latencies: Latencies::default(),
@@ -102,6 +104,7 @@ pub fn follow(
         keyframes: following.odometry.keyframes(),
         fixed: FixedInImage::of(&following.odometry),
         frames: following.frames,
+        recalibrated: following.recalibrated,
         views,
         mapping,
         warnings: farewell.warnings.into_iter().chain(log.into_iter().flat_map(McapLog::warnings)).collect(),
@@ -157,7 +160,9 @@ struct Following<'a, 'p> {
     odometry: Odometry,
     calibration: Option<OnlineCalibration>,
     /// The frame whose poses are written, published and shown.
-    of: PoseFrame,
+    of: PoseFrames,
+    /// The rig from a frame on, at each recalibration.
+    recalibrated: Vec<(u64, Rig)>,
     frames: KeptFrames,
     times: StageTimes,
     latencies: Latencies,
@@ -262,8 +267,12 @@ impl Following<'_, '_> {
         let estimate = self.odometry.process(frame.gray.clone(), frame.time_s)?;
         let estimate = FrameEstimate { frame: frame.number, ..estimate };
         let mut events = self.odometry.take_keyframe_events();
-        if let Some(calibration) = &mut self.calibration {
-            calibration.watch(&estimate, &mut self.odometry)?;
+        if let Some(calibration) = &mut self.calibration
+            && calibration.watch(&estimate, &mut self.odometry)?
+        {
+            let (next, rig) = (frame.number + 1, *calibration.rig());
+            self.of.recalibrate(next, &rig);
+            self.recalibrated.push((next, rig));
         }
         let latency_ms = self.latencies.add(at.elapsed());
         self.times.decode.push(decoding);
@@ -276,7 +285,10 @@ impl Following<'_, '_> {
         self.recorder.record(&seen);
         if let Some(log) = self.log {
             let tracks = || self.odometry.tracks().to_vec();
-            log.give(&seen, latency_ms, || TrackedImage { gray: frame.gray.clone(), tracks: tracks() });
+            log.give(&seen, self.of.at(frame.number), latency_ms, || TrackedImage {
+                gray: frame.gray.clone(),
+                tracks: tracks(),
+            });
         }
         let first_time_s = self.frames.first_time_s().unwrap_or(estimate.time_s);
         let reference = self.odometry.reference();

@@ -18,7 +18,7 @@ use nalgebra::{Isometry3, Matrix6};
 use odograph::error::{Error, Result};
 use odograph::geometry::GroundPose;
 use odograph::geometry::pose_index::{HEADING, HEIGHT, PITCH, ROLL, X, Y};
-use odograph::pose_frame::PoseFrame;
+use odograph::pose_frame::{PoseFrame, PoseFrames};
 use odograph::trajectory::{FrameEstimate, PoseEstimate, TrackStatus, Velocity};
 use std::collections::BTreeMap;
 use std::io::{self, Write};
@@ -39,7 +39,7 @@ const LATCHED: &str = "- history: 1\n  depth: 1\n  reliability: 1\n  durability:
 pub struct RosBagWriter<'a, W: Write> {
     path: &'a Path,
     writer: Writer<NoSeek<W>>,
-    of: PoseFrame,
+    of: PoseFrames,
     odometry: u16,
     transforms: u16,
     static_transforms: u16,
@@ -49,7 +49,7 @@ pub struct RosBagWriter<'a, W: Write> {
 
 impl<'a, W: Write> RosBagWriter<'a, W> {
     /// A bag of the path of a frame; `path` is named in errors.
-    pub fn new(path: &'a Path, output: W, of: PoseFrame) -> Result<Self> {
+    pub fn new(path: &'a Path, output: W, of: PoseFrames) -> Result<Self> {
         let options = WriteOptions::new()
             .disable_seeking(true)
             .compression(None)
@@ -77,22 +77,23 @@ impl<'a, W: Write> RosBagWriter<'a, W> {
     /// finally has in the map frame. ROS has no times before 0.
     pub fn add(&mut self, camera: &FrameEstimate, in_map: Option<&GroundPose>) -> Result<()> {
         let time_ns = (camera.time_s * 1e9).round() as u64;
+        let of = *self.of.at(camera.frame);
         if self.sequence == 0
-            && let PoseFrame::BaseLink(base) = &self.of
+            && let PoseFrame::BaseLink(base) = self.of.last()
         {
-            let on_robot = transforms(time_ns, &[(self.of.name(), CAMERA, *base.base_from_camera())]);
+            let on_robot = transforms(time_ns, &[(of.name(), CAMERA, *base.base_from_camera())]);
             self.put(self.static_transforms, time_ns, &on_robot)?;
         }
         self.sequence = self.sequence.saturating_add(1);
-        let placed = self.of.frame(camera);
-        if let Some((known, seen)) = placed.estimate.as_ref().zip(camera.estimate.as_ref()) {
-            let placed = self.of.world_from_frame(&known.pose);
+        let placed_frame = of.frame(camera);
+        if let Some((known, seen)) = placed_frame.estimate.as_ref().zip(camera.estimate.as_ref()) {
+            let placed = of.world_from_frame(&known.pose);
             let odom_from_camera = seen.pose.world_from_camera();
             let map_from_odom = in_map.map_or_else(Isometry3::identity, |in_map| {
                 in_map.world_from_camera() * odom_from_camera.inverse()
             });
-            let moved = [(MAP, ODOM, map_from_odom), (ODOM, self.of.name(), placed)];
-            self.put(self.odometry, time_ns, &odometry(time_ns, self.of.name(), &placed, known))?;
+            let moved = [(MAP, ODOM, map_from_odom), (ODOM, of.name(), placed)];
+            self.put(self.odometry, time_ns, &odometry(time_ns, of.name(), &placed, known))?;
             self.put(self.transforms, time_ns, &transforms(time_ns, &moved))?;
         }
         self.put(self.diagnostics, time_ns, &diagnostics(time_ns, camera))

@@ -48,6 +48,7 @@ pub(crate) fn contents(mut recording: Box<dyn MessageReader>) -> Result<Contents
             Role::Gyro => StreamUse::Gyro,
             Role::Wheel => StreamUse::Wheel,
             Role::Range => StreamUse::Range,
+            Role::Gnss => StreamUse::Gnss,
             _ => StreamUse::Nothing,
         };
         let stream = Stream {

@@ -29,7 +29,7 @@ pub(crate) use frames::open_frames;
 pub use mount::{RecordedMount, recorded_mount};
 use odograph::error::Result;
 use recording::MessageReader;
-pub use sensors::recorded_sensor;
+pub use sensors::{recorded_fixes, recorded_sensor};
 use std::path::Path;
 
 /// Opens a recording; `None` if the file or folder is not one.

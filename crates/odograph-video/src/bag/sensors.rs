@@ -1,9 +1,11 @@
 //! The record of a sensor beside the camera, from a topic.
 
 use super::messages::{Role, seconds, sensor, stamp_ns};
+use super::recording::Topic;
 use super::topics::is_named;
 use odograph::error::{Error, Result};
 use odograph::filter::fusion::{SensorKind, SensorRecord};
+use odograph::georeference::GnssFix;
 use std::path::Path;
 
 /// Message type of a kind of sensor.
@@ -30,46 +32,50 @@ pub fn recorded_sensor(path: impl AsRef<Path>, topic: &str, kind: SensorKind) ->
     read(path, topic, kind).map_err(|error| error.at(path.display()))
 }
 
+/// Reads the positions of a satellite receiver from a topic of a robot recording:
+/// `sensor_msgs/NavSatFix`. Times are taken as by [`recorded_sensor`]. A message without a position
+/// is left out; one without a covariance has the usual one.
+///
+/// # Errors
+/// As [`recorded_sensor`]; without any position.
+pub fn recorded_fixes(path: impl AsRef<Path>, topic: &str) -> Result<Vec<GnssFix>> {
+    let path = path.as_ref();
+    let mut fixes = Vec::new();
+    let read = each(
+        path,
+        topic,
+        "satellite receiver",
+        (Role::Gnss, "sensor_msgs/NavSatFix"),
+        |topic, time_s, data| {
+            let Some((place, altitude_m, covariance_m2)) = sensor::position(topic, data) else {
+                return false;
+            };
+            fixes.push(GnssFix { time_s, place, altitude_m, covariance_m2 });
+            true
+        },
+    );
+    read.map_err(|error| error.at(path.display()))?;
+    if fixes.is_empty() {
+        return Err(Error::input(format!("{}: the topic {topic} has no position", path.display())));
+    }
+    Ok(fixes)
+}
+
 fn read(path: &Path, name: &str, kind: SensorKind) -> Result<SensorRecord> {
-    let not_one = || {
-        Error::usage(format!(
-            "only robot recordings (MCAP, ROS bags) have topics, and this is none; leave {name} away"
-        ))
-    };
-    let mut recording = super::open(path)?.ok_or_else(not_one)?;
     let (role, type_name) = type_of(kind);
-    let fits = |topic: &&super::recording::Topic| Role::of(topic) == role && role != Role::Other;
-    let Some(topic) = recording.topics().iter().filter(fits).find(|topic| is_named(topic, name)).cloned()
-    else {
-        let others: Vec<&str> =
-            recording.topics().iter().filter(fits).map(|topic| topic.name.as_str()).collect();
-        let others = if others.is_empty() { "none".to_owned() } else { others.join(", ") };
-        return Err(Error::usage(format!(
-            "there is no topic {name} of the type {type_name} for a {kind}; of this type there are: {others}"
-        )));
-    };
-    recording.select(&|other| other.name == topic.name && other.type_name == topic.type_name);
-    let quantity =
-        sensor::quantity(role).ok_or_else(|| Error::usage(format!("a {kind} is not read from a topic")))?;
     let mut times_s: Vec<f64> = Vec::new();
     let mut channels: Vec<Vec<f64>> = Vec::new();
-    let mut by_log = None;
-    while recording.advance()? {
-        let message = recording.message();
-        let stamp_ns = stamp_ns(&topic, message.data);
-        let by_log = *by_log.get_or_insert(stamp_ns.is_none());
-        let time_ns = if by_log { i64::try_from(message.log_ns).ok() } else { stamp_ns };
-        let (Some(time_ns), Some(values)) = (time_ns, sensor::values(&topic, message.data)) else { continue };
-        let time_s = seconds(time_ns);
-        if times_s.last().is_some_and(|&last| time_s <= last) {
-            continue;
-        }
+    each(path, name, &kind.to_string(), (role, type_name), |topic, time_s, data| {
+        let Some(values) = sensor::values(topic, data) else { return false };
         times_s.push(time_s);
         channels.resize(values.len(), Vec::new());
         for (channel, value) in channels.iter_mut().zip(values) {
             channel.push(value);
         }
-    }
+        true
+    })?;
+    let quantity =
+        sensor::quantity(role).ok_or_else(|| Error::usage(format!("a {kind} is not read from a topic")))?;
     if times_s.len() < 2 {
         return Err(Error::input(format!(
             "the topic {name} has {} measurements; two are the least",
@@ -77,4 +83,45 @@ fn read(path: &Path, name: &str, kind: SensorKind) -> Result<SensorRecord> {
         )));
     }
     SensorRecord::new(quantity, times_s, channels).map_err(|error| error.at(name))
+}
+
+/// Visits the messages of a sensor's topic whose time is after that of the last one that `take`
+/// took, which returns whether it did.
+fn each(
+    path: &Path,
+    name: &str,
+    sensor: &str,
+    (role, type_name): (Role, &str),
+    mut take: impl FnMut(&Topic, f64, &[u8]) -> bool,
+) -> Result<()> {
+    let not_one = || {
+        Error::usage(format!(
+            "only robot recordings (MCAP, ROS bags) have topics, and this is none; leave {name} away"
+        ))
+    };
+    let mut recording = super::open(path)?.ok_or_else(not_one)?;
+    let fits = |topic: &&Topic| Role::of(topic) == role && role != Role::Other;
+    let Some(topic) = recording.topics().iter().filter(fits).find(|topic| is_named(topic, name)).cloned()
+    else {
+        let others: Vec<&str> =
+            recording.topics().iter().filter(fits).map(|topic| topic.name.as_str()).collect();
+        let others = if others.is_empty() { "none".to_owned() } else { others.join(", ") };
+        return Err(Error::usage(format!(
+            "there is no topic {name} of the type {type_name} for a {sensor}; of this type there are: {others}"
+        )));
+    };
+    recording.select(&|other| other.name == topic.name && other.type_name == topic.type_name);
+    let mut by_log = None;
+    let mut last_s = f64::NEG_INFINITY;
+    while recording.advance()? {
+        let message = recording.message();
+        let stamp_ns = stamp_ns(&topic, message.data);
+        let by_log = *by_log.get_or_insert(stamp_ns.is_none());
+        let time_ns = if by_log { i64::try_from(message.log_ns).ok() } else { stamp_ns };
+        let Some(time_s) = time_ns.map(seconds).filter(|&time_s| time_s > last_s) else { continue };
+        if take(&topic, time_s, message.data) {
+            last_s = time_s;
+        }
+    }
+    Ok(())
 }

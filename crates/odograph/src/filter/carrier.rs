@@ -3,7 +3,7 @@
 use super::SmoothedFrame;
 use super::coordinate::{Measured, smooth_coordinate};
 use crate::camera::Rig;
-use crate::pose_frame::{BaseLink, PoseFrame};
+use crate::pose_frame::PoseFrames;
 use crate::trajectory::{StampedPose, Trajectory};
 use nalgebra::{Isometry3, Translation3, UnitQuaternion, Vector3};
 use std::f64::consts::TAU;
@@ -25,7 +25,7 @@ pub const CARRIER_CUTOFF_HZ: f64 = 2.0;
 /// ω)⁶).
 #[derive(Debug)]
 pub struct Carrier {
-    of: PoseFrame,
+    of: PoseFrames,
     /// What is still to be subtracted from the heading, radians.
     yaw_rad: f64,
     z_m: f64,
@@ -38,21 +38,27 @@ impl Carrier {
     /// An empty path of what carries a camera mounted like this, with capacity for `frames` frames.
     pub fn for_frames(rig: &Rig, frames: usize) -> Self {
         let axes = [(); 3].map(|()| Vec::with_capacity(frames));
-        let (of, yaw_rad, z_m) = match (BaseLink::of(rig), rig.lever_arm) {
-            (Some(base), Some(arm)) => (PoseFrame::BaseLink(base), 0.0, rig.height_m - arm.z_m),
-            _ => (PoseFrame::Camera, rig.yaw_rad, 0.0),
+        let (yaw_rad, z_m) = match rig.lever_arm {
+            Some(arm) => (0.0, rig.height_m - arm.z_m),
+            None => (rig.yaw_rad, 0.0),
         };
-        Self { of, yaw_rad, z_m, times_s: Vec::with_capacity(frames), axes }
+        Self { of: PoseFrames::of_carrier(rig), yaw_rad, z_m, times_s: Vec::with_capacity(frames), axes }
+    }
+
+    /// The tilt of the mount is that of another rig from a frame on, which is later than those of
+    /// earlier calls.
+    pub fn recalibrate(&mut self, frame: u64, rig: &Rig) {
+        self.of.recalibrate(frame, rig);
     }
 
     /// Whose path it is: `base_link`'s, where the rig has a lever arm.
-    pub fn of(&self) -> &PoseFrame {
+    pub fn of(&self) -> &PoseFrames {
         &self.of
     }
 
     /// Appends the next frame of the camera's path.
     pub fn push(&mut self, frame: &SmoothedFrame) {
-        let pose = frame.seen_as(&self.of).pose;
+        let pose = frame.seen_as(self.of.at(frame.frame)).pose;
         self.times_s.push(frame.time_s);
         for (axis, value) in self.axes.iter_mut().zip([pose.x_m, pose.y_m, pose.heading_rad]) {
             axis.push(value);

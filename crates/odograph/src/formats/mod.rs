@@ -1,10 +1,13 @@
-//! Text formats: camera, calibration, rig, sensor and trajectory files.
+//! Text formats: camera, calibration, rig, sensor, GNSS and trajectory files.
 //!
 //! Nothing here opens a file: readers take text, writers return it. Readers accept any text without
 //! panicking, in time and memory proportional to its length, and report errors in one sentence.
 
 pub mod decimal;
+mod columns;
 pub mod camera_file;
+pub mod geojson;
+pub mod gnss_file;
 pub mod length;
 pub mod rig_file;
 pub mod sensor_file;

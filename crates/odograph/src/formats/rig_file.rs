@@ -8,6 +8,7 @@
 //! x_m = 0.30         # lever arm, left out where it is unknown: the camera on the robot (base_link),
 //! y_m = 0            #   forward and to the left; default 0
 //! z_m = 0.65         #   up; default height_m: base_link is on the ground
+//! gnss_lever_arm_m = [0.1, 0, 1.2]   # antenna of a satellite receiver in base_link: x, y, z
 //! ```
 //!
 //! Each angle may be in radians instead (`roll_rad`, …), and each of the four lengths a text with
@@ -25,7 +26,7 @@ use toml::{Table, Value};
 const MAX_BYTES: usize = 1 << 20;
 
 /// All valid keys.
-const KEYS: [&str; 18] = [
+const KEYS: [&str; 19] = [
     "height_m",
     "roll_deg",
     "pitch_deg",
@@ -40,6 +41,7 @@ const KEYS: [&str; 18] = [
     "x_m",
     "y_m",
     "z_m",
+    "gnss_lever_arm_m",
     "height",
     "x",
     "y",
@@ -55,6 +57,60 @@ const GREATEST_HEIGHT_M: f64 = 1e6;
 /// is not a finite number or a length with its unit, a number is given twice, or the rig is invalid
 /// ([`Rig::validated`]).
 pub fn parse(text: &str) -> Result<Rig> {
+    let table = table(text)?;
+    let height_m = length(&table, "height")?.ok_or_else(|| {
+        Error::input("the rig file has no `height_m`; add the camera's height above the ground in metres")
+    })?;
+    if height_m > GREATEST_HEIGHT_M {
+        return Err(Error::input(format!(
+            "height_m is {height_m:e} in the rig file; no camera over ground is that high"
+        )));
+    }
+    let rig = Rig {
+        height_m,
+        roll_rad: angle(&table, "roll")?,
+        pitch_rad: angle(&table, "pitch")?,
+        yaw_rad: angle(&table, "yaw")?,
+        lever_arm: lever_arm(&table, height_m)?,
+    };
+    antenna(&table, &rig)?;
+    rig.validated().map_err(|error| Error::input(error.to_string()))
+}
+
+/// Reads the lever arm of a satellite receiver's antenna in `base_link`; `None` if there is none.
+/// Fails as [`parse`] does.
+pub fn parse_antenna(text: &str) -> Result<Option<LeverArm>> {
+    antenna(&table(text)?, &parse(text)?)
+}
+
+/// The lever arm of the antenna. Fails if it is not three possible lengths, or if where the camera
+/// is in `base_link` is not known.
+fn antenna(table: &Table, rig: &Rig) -> Result<Option<LeverArm>> {
+    const KEY: &str = "gnss_lever_arm_m";
+    let Some(value) = table.get(KEY) else { return Ok(None) };
+    let number = |value: &Value| match value {
+        Value::Float(number) => Some(*number),
+        Value::Integer(number) => Some(*number as f64),
+        _ => None,
+    };
+    let numbers: Option<Vec<f64>> = value.as_array().and_then(|array| array.iter().map(number).collect());
+    let Some(&[x_m, y_m, z_m]) = numbers.as_deref() else {
+        let shown: String = value.to_string().chars().take(40).flat_map(char::escape_debug).collect();
+        return Err(Error::input(format!(
+            "{KEY} is {shown} in the rig file; write the antenna in base_link as [forward, left, up] in metres"
+        )));
+    };
+    if rig.lever_arm.is_none() {
+        return Err(Error::input(format!(
+            "the rig file has {KEY}, but not where the camera is; add x_m, y_m and z_m of the camera in base_link"
+        )));
+    }
+    let arm = LeverArm { x_m, y_m, z_m }.validated();
+    arm.map(Some).map_err(|error| Error::input(format!("{KEY} in the rig file: {error}")))
+}
+
+/// The keys of a rig file. Fails if there is one that is not known.
+fn table(text: &str) -> Result<Table> {
     if text.len() > MAX_BYTES {
         return Err(Error::input(format!("the rig file has {} bytes; is this the right file?", text.len())));
     }
@@ -77,22 +133,7 @@ pub fn parse(text: &str) -> Result<Rig> {
         };
         return Err(Error::input(format!("the rig file has an unknown key `{shown}`; {hint}")));
     }
-    let height_m = length(&table, "height")?.ok_or_else(|| {
-        Error::input("the rig file has no `height_m`; add the camera's height above the ground in metres")
-    })?;
-    if height_m > GREATEST_HEIGHT_M {
-        return Err(Error::input(format!(
-            "height_m is {height_m:e} in the rig file; no camera over ground is that high"
-        )));
-    }
-    let rig = Rig {
-        height_m,
-        roll_rad: angle(&table, "roll")?,
-        pitch_rad: angle(&table, "pitch")?,
-        yaw_rad: angle(&table, "yaw")?,
-        lever_arm: lever_arm(&table, height_m)?,
-    };
-    rig.validated().map_err(|error| Error::input(error.to_string()))
+    Ok(table)
 }
 
 /// A key with more edits than this to the nearest known one is no misspelling of it.
@@ -148,9 +189,7 @@ pub fn write_measured(measured: &MeasuredRig) -> String {
 /// is negative or not finite.
 pub fn parse_measured(text: &str) -> Result<MeasuredRig> {
     let rig = parse(text)?;
-    let table: Table = text.trim_start_matches('\u{feff}').parse().map_err(|error: toml::de::Error| {
-        Error::input(format!("the rig file is not TOML: {}", error.message()))
-    })?;
+    let table = table(text)?;
     let deviation = |key: &str| match number(&table, key)? {
         Some(value) if value < 0.0 => {
             Err(Error::input(format!("{key} is {value} in the rig file; it must not be negative")))
@@ -250,6 +289,24 @@ mod tests {
         assert_eq!(rig.lever_arm, Some(LeverArm { x_m: 0.3, y_m: -0.02, z_m: 0.75 }));
         let low = parse("height_m = 0.75\nz = '65cm'").unwrap().lever_arm;
         assert_eq!(low, Some(LeverArm { x_m: 0.0, y_m: 0.0, z_m: 0.65 }));
+    }
+
+    #[test]
+    fn an_antenna_is_read_where_the_camera_is_known() {
+        let text = "height_m = 0.75\nx_m = 0.3\ngnss_lever_arm_m = [0.1, 0, 1.25]";
+        let arm = LeverArm { x_m: 0.1, y_m: 0.0, z_m: 1.25 };
+        assert_eq!(parse_antenna(text).unwrap(), Some(arm));
+        assert_eq!(parse_antenna("height_m = 0.75").unwrap(), None);
+        for (arm, part) in [
+            ("[0.1, 0]", "gnss_lever_arm_m is [0.1, 0] in the rig file; write the antenna"),
+            ("1.2", "gnss_lever_arm_m is 1.2"),
+            ("[0, 0, nan]", "gnss_lever_arm_m in the rig file: the lever arm's z is NaN"),
+        ] {
+            let error = parse(&format!("height_m = 1\nx_m = 0\ngnss_lever_arm_m = {arm}")).unwrap_err();
+            assert!(error.to_string().contains(part), "{error}");
+        }
+        let error = parse("height_m = 1\ngnss_lever_arm_m = [0, 0, 1]").unwrap_err().to_string();
+        assert!(error.contains("not where the camera is"), "{error}");
     }
 
     #[test]

@@ -11,6 +11,7 @@
 //! semicolons or white space. Unknown columns, empty lines and lines that begin with `#` are
 //! ignored.
 
+use super::columns::{Columns, shortened};
 use crate::error::{Error, Result};
 use crate::filter::fusion::{Quantity, SensorKind, SensorRecord};
 use std::fmt::Write;
@@ -51,56 +52,27 @@ const KNOWN: [Known; 12] = [
 /// different number of values than the header, a value is not a finite number, or a time is not
 /// later than the one before. Also fails if there are fewer than two samples.
 pub fn parse(text: &str, sensor: SensorKind) -> Result<SensorRecord> {
-    let text = text.trim_start_matches('\u{feff}');
-    let mut lines = text
-        .lines()
-        .enumerate()
-        .map(|(index, line)| (index + 1, line.trim()))
-        .filter(|(_, line)| !line.is_empty() && !line.starts_with('#'));
-    let (number, header) = lines.next().ok_or_else(|| Error::input("there is nothing in the file"))?;
-    let names: Vec<&str> = words(header).collect();
-    let column = |name: &str| names.iter().position(|known| known.eq_ignore_ascii_case(name));
+    let mut table = Columns::new(text)?;
     let of_sensor = || KNOWN.iter().filter(|known| known.sensor == sensor);
     let chosen = of_sensor().find_map(|known| {
-        let columns: Option<Vec<usize>> = known.names.iter().map(|name| column(name)).collect();
+        let columns: Option<Vec<usize>> = known.names.iter().map(|name| table.named(name)).collect();
         columns.map(|columns| (known, columns))
     });
-    let (Some(time), Some((known, columns))) = (column("time_s"), chosen) else {
+    let Some((known, columns)) = chosen.filter(|_| table.has_time()) else {
         let wanted: Vec<String> = of_sensor().map(|known| known.names.join(",")).collect();
         return Err(Error::input(format!(
-            "line {number} is {:?}; it must name the columns, time_s and {}",
-            shortened(header),
+            "line {} is {:?}; it must name the columns, time_s and {}",
+            table.header_line,
+            shortened(table.header),
             wanted.join(" or ")
         )));
     };
     let mut times_s: Vec<f64> = Vec::new();
     let mut channels: Vec<Vec<f64>> = vec![Vec::new(); columns.len()];
-    for (number, line) in lines {
-        let values: Vec<&str> = words(line).collect();
-        if values.len() != names.len() {
-            return Err(Error::input(format!(
-                "line {number} has {} values, the first line names {} columns",
-                values.len(),
-                names.len()
-            )));
-        }
-        let value = |column: usize| match values[column].parse::<f64>() {
-            Ok(value) if value.is_finite() => Ok(value),
-            _ => Err(Error::input(format!(
-                "line {number}: {:?} stands where a finite number belongs ({})",
-                shortened(values[column]),
-                names[column]
-            ))),
-        };
-        let time_s = value(time)?;
-        if let Some(before_s) = times_s.last().filter(|&&before_s| before_s >= time_s) {
-            return Err(Error::input(format!(
-                "line {number}: the time {time_s} s is not later than {before_s} s before it; sort the file by time and drop repeated lines"
-            )));
-        }
-        times_s.push(time_s);
+    while let Some(row) = table.next_row()? {
+        times_s.push(row.time_s);
         for (channel, &column) in channels.iter_mut().zip(&columns) {
-            channel.push(known.factor * value(column)?);
+            channel.push(known.factor * table.value(&row, column)?);
         }
     }
     SensorRecord::new(known.quantity, times_s, channels)
@@ -119,14 +91,6 @@ pub fn write(record: &SensorRecord) -> String {
         text.push('\n');
     }
     text
-}
-
-fn words(line: &str) -> impl Iterator<Item = &str> {
-    line.split(|c: char| c.is_whitespace() || c == ',' || c == ';').filter(|word| !word.is_empty())
-}
-
-fn shortened(text: &str) -> String {
-    text.chars().take(40).collect()
 }
 
 #[cfg(test)]

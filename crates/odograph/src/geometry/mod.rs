@@ -9,9 +9,11 @@
 //!
 //! Transforms are named `target_from_source`. All conventions are in `docs/math/frames.md`.
 
+mod earth;
 mod placement;
 mod planar;
 
+pub use earth::{EarthPosition, TangentPlane};
 pub use placement::Placement;
 pub use planar::{PlaneTransform, Se2, Sim2, WithCovariance, propagated};
 

@@ -246,8 +246,8 @@ pub fn refine(
     })
 }
 
-/// Whether a keyframe may have had the height and tilt that a fit finds for it. Tracks that fit only
-/// a keyframe of quite another height or tilt are not of that ground.
+/// Whether a keyframe may have had the height and tilt that a fit finds for it. Tracks that fit
+/// only a keyframe of quite another height or tilt are not of that ground.
 fn is_plausible(error: &KeyframeError, keyframe_pose: &GroundPose) -> bool {
     let [height_m, roll_rad, pitch_rad] = error.mean.into();
     [height_m / keyframe_pose.height_m, roll_rad, pitch_rad].iter().all(|off| off.abs() < MAX_KEYFRAME_ERROR)

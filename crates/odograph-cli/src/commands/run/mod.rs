@@ -200,6 +200,9 @@ impl RunArguments {
             ("--gyro-topic", self.sensors.gyro_topic.is_some()),
             ("--wheel-topic", self.sensors.wheel_topic.is_some()),
             ("--range-topic", self.sensors.range_topic.is_some()),
+            ("--gnss", self.sensors.gnss.is_some()),
+            ("--gnss-topic", self.sensors.gnss_topic.is_some()),
+            ("--gnss-start", self.sensors.gnss_start.is_some()),
             ("--no-loops", self.no_loops),
             ("--reference", self.reference.is_some()),
         ];

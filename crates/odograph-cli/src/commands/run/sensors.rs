@@ -19,6 +19,17 @@ pub struct SensorArguments {
     /// Range finder: time_s and height_m, or distance_m along the optical axis.
     #[arg(long, value_name = "FILE")]
     pub range: Option<PathBuf>,
+    /// Satellite receiver: CSV (time_s, latitude_deg, longitude_deg, sigma_m), NMEA 0183 or GPX.
+    ///
+    /// Places the path on Earth: trajectory.geojson, trajectory-utm.csv, mosaic-utm.tif. The
+    /// antenna is at gnss_lever_arm_m of the rig file.
+    #[arg(long, value_name = "FILE")]
+    pub gnss: Option<PathBuf>,
+    /// When the recording's time was 0, as 2026-05-04T10:12:33.5Z, for NMEA and GPX.
+    ///
+    /// To a second; the rest is estimated. Not needed where the frames have times in UTC.
+    #[arg(long, value_name = "UTC")]
+    pub gnss_start: Option<String>,
     /// Gyroscope, from a topic of the robot recording: sensor_msgs/Imu.
     #[arg(long, value_name = "NAME", conflicts_with = "gyro")]
     pub gyro_topic: Option<String>,
@@ -28,12 +39,27 @@ pub struct SensorArguments {
     /// Range finder, from a topic of the robot recording: sensor_msgs/Range.
     #[arg(long, value_name = "NAME", conflicts_with = "range")]
     pub range_topic: Option<String>,
+    /// Satellite receiver, from a topic of the robot recording: sensor_msgs/NavSatFix.
+    #[arg(long, value_name = "NAME", conflicts_with = "gnss")]
+    pub gnss_topic: Option<String>,
 }
 
 impl SensorArguments {
     /// The files for a run.
     pub fn files(&self) -> SensorFiles {
-        let Self { gyro, heading, wheel, range, gyro_topic, wheel_topic, range_topic } = self.clone();
-        SensorFiles { gyro, heading, wheel, range, gyro_topic, wheel_topic, range_topic }
+        let Self { gyro, heading, wheel, range, gnss, gnss_start, .. } = self.clone();
+        let Self { gyro_topic, wheel_topic, range_topic, gnss_topic, .. } = self.clone();
+        SensorFiles {
+            gyro,
+            heading,
+            wheel,
+            range,
+            gnss,
+            gyro_topic,
+            wheel_topic,
+            range_topic,
+            gnss_topic,
+            gnss_start,
+        }
     }
 }

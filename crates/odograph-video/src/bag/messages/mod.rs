@@ -23,6 +23,7 @@ pub(crate) enum Role {
     Gyro,
     Wheel,
     Range,
+    Gnss,
     Other,
 }
 
@@ -76,6 +77,7 @@ impl Role {
             ("sensor_msgs/Imu", false) => Self::Gyro,
             ("nav_msgs/Odometry", false) => Self::Wheel,
             ("sensor_msgs/Range", false) => Self::Range,
+            ("sensor_msgs/NavSatFix", false) => Self::Gnss,
             _ => Self::Other,
         }
     }

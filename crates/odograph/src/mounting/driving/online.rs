@@ -77,6 +77,11 @@ impl OnlineCalibration {
         Some(Solving { frames, result })
     }
 
+    /// The rig that is in use.
+    pub fn rig(&self) -> &Rig {
+        &self.rig
+    }
+
     /// The estimated calibration that is in use; `None` while the given one is.
     pub fn found(&self) -> Option<&CalibrationUpdate> {
         self.found.as_ref()

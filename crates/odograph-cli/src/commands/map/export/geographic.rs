@@ -1,9 +1,11 @@
 //! The paths and keyframes of a map in longitude and latitude: GeoJSON (RFC 7946), KML 2.2, GPX
 //! 1.1.
 
-use super::anchor::{Anchor, EarthPosition};
 use crate::files;
 use odograph::error::{Error, Result};
+use odograph::formats::geojson::{self, Feature, degrees, quoted};
+use odograph::geometry::EarthPosition;
+use odograph::georeference::Anchor;
 use odograph_map::{MapFile, PathFrame};
 use std::fmt::Write;
 use std::path::Path;
@@ -65,7 +67,7 @@ pub fn write(file: &MapFile, path: &Path, form: GeographicForm, anchor: &Anchor)
         })
         .collect();
     let text = match form {
-        GeographicForm::GeoJson => geojson(&lines, &points)?,
+        GeographicForm::GeoJson => geojson(&lines, &points),
         GeographicForm::Kml => kml(&lines),
         GeographicForm::Gpx => gpx(&lines),
     };
@@ -73,42 +75,27 @@ pub fn write(file: &MapFile, path: &Path, form: GeographicForm, anchor: &Anchor)
     Ok(format!("{} stretches of path, {} keyframes", lines.len(), points.len()))
 }
 
-/// Longitude and latitude in degrees, to a tenth of a millimetre.
-fn degrees(place: &EarthPosition) -> (String, String) {
-    (format!("{:.9}", place.longitude_rad.to_degrees()), format!("{:.9}", place.latitude_rad.to_degrees()))
-}
-
-fn geojson(lines: &[GeographicLine], points: &[GeographicPoint]) -> Result<String> {
-    let position = |place: &EarthPosition| {
-        let (longitude, latitude) = degrees(place);
-        format!("[{longitude},{latitude}]")
+fn geojson(lines: &[GeographicLine], points: &[GeographicPoint]) -> String {
+    let path = |line: &GeographicLine| Feature {
+        properties: vec![
+            ("session", line.session.to_string()),
+            ("source", quoted(&line.source)),
+            ("segment", line.segment.to_string()),
+            ("start_s", format!("{:?}", line.start_s)),
+            ("end_s", format!("{:?}", line.end_s)),
+        ],
+        places: line.places.clone(),
     };
-    let mut features = Vec::new();
-    for line in lines {
-        let source = serde_json::to_string(&line.source)
-            .map_err(|error| Error::output(format!("a name cannot be written as JSON: {error}")))?;
-        let positions: Vec<String> = line.places.iter().map(position).collect();
-        features.push(format!(
-            "{{\"type\":\"Feature\",\"properties\":{{\"session\":{},\"source\":{source},\"segment\":{},\"start_s\":{:?},\"end_s\":{:?}}},\
-             \"geometry\":{{\"type\":\"LineString\",\"coordinates\":[{}]}}}}",
-            line.session,
-            line.segment,
-            line.start_s,
-            line.end_s,
-            positions.join(",")
-        ));
-    }
-    for point in points {
-        features.push(format!(
-            "{{\"type\":\"Feature\",\"properties\":{{\"keyframe\":{},\"session\":{},\"time_s\":{:?}}},\
-             \"geometry\":{{\"type\":\"Point\",\"coordinates\":{}}}}}",
-            point.id,
-            point.session,
-            point.time_s,
-            position(&point.place)
-        ));
-    }
-    Ok(format!("{{\"type\":\"FeatureCollection\",\"features\":[\n{}\n]}}\n", features.join(",\n")))
+    let keyframe = |point: &GeographicPoint| Feature {
+        properties: vec![
+            ("keyframe", point.id.to_string()),
+            ("session", point.session.to_string()),
+            ("time_s", format!("{:?}", point.time_s)),
+        ],
+        places: vec![point.place],
+    };
+    let features: Vec<Feature> = lines.iter().map(path).chain(points.iter().map(keyframe)).collect();
+    geojson::write(&features)
 }
 
 fn kml(lines: &[GeographicLine]) -> String {

@@ -4,17 +4,17 @@
 mod anchor;
 mod colmap;
 mod geographic;
-mod geotiff;
 mod picture;
 mod ply;
 mod trajectory;
 
 use super::check_free;
-use crate::{Outcome, console, files};
-use anchor::{Anchor, AnchorArgument};
+use crate::{Outcome, console, files, interrupt};
+use anchor::{AnchorArgument, anchor_of};
 use geographic::GeographicForm;
 use odograph::error::{Error, Result};
-use odograph_map::{MapFile, MosaicLayer, PathFrame};
+use odograph::georeference::Anchor;
+use odograph_map::{GeoTiff, MapFile, MosaicLayer, PathFrame};
 use std::path::{Path, PathBuf};
 use trajectory::TrajectoryForm;
 
@@ -125,7 +125,7 @@ pub fn export(arguments: &ExportArguments) -> Result<Outcome> {
             "--anchor is for .tif, .geojson, .kml and .gpx; the other forms have no place on Earth",
         ));
     }
-    let anchor = Anchor::of(&arguments.anchor)?;
+    let anchor = anchor_of(&arguments.anchor)?;
     if form != Form::Colmap || arguments.output.is_file() {
         check_free(&arguments.output, arguments.force)?;
     }
@@ -168,9 +168,29 @@ pub fn write_picture(
         ))
     })?;
     match form {
-        PictureForm::GeoTiff => geotiff::write(file, &layer, path, anchor),
+        PictureForm::GeoTiff => write_geotiff(file, &layer, path, anchor),
         PictureForm::Png => picture::write(file, &layer, path),
     }
+}
+
+/// Writes the mosaic as a GeoTIFF and reports what was written.
+fn write_geotiff(
+    file: &MapFile,
+    layer: &MosaicLayer,
+    path: &Path,
+    anchor: Option<&Anchor>,
+) -> Result<String> {
+    let mut written = None;
+    files::write_with(path, |output| {
+        let picture = file.write_geotiff(layer, output, anchor, &mut interrupt::check);
+        written = Some(picture.map_err(|error| error.at(path.display()))?);
+        Ok(())
+    })?;
+    let system =
+        anchor.map_or("metres of the map".to_owned(), |anchor| format!("EPSG:{}", anchor.utm_code()));
+    Ok(written.map_or_else(String::new, |GeoTiff { width, height, pixel_m, level }| {
+        format!("{width}x{height} px of {:.2} mm, {system}{}", 1000.0 * pixel_m, coarser(layer, level))
+    }))
 }
 
 /// The note if a picture is coarser than the mosaic; otherwise empty.

@@ -1,14 +1,13 @@
 //! The mosaic as a GeoTIFF (OGC 19-008): the tiles as they are in the map, so that no more than one
 //! is in memory.
 
-use super::anchor::Anchor;
-use super::coarser;
-use crate::{files, interrupt};
+use crate::file::MapFile;
+use crate::mosaic::MosaicLayer;
 use odograph::error::{Error, Result};
+use odograph::georeference::Anchor;
 use odograph::mosaic::MOSAIC_TILE_PX;
-use odograph_map::{MapFile, MosaicLayer};
+use std::io::{Seek, Write};
 use std::ops::Range;
-use std::path::Path;
 use tiff::TiffError;
 use tiff::encoder::compression::{CompressionAlgorithm, Deflate, DeflateLevel};
 use tiff::encoder::{DirectoryEncoder, TiffEncoder, TiffKind};
@@ -21,36 +20,57 @@ const CHANNELS: usize = 4;
 /// directory.
 const MOST_TILES: u64 = 1 << 22;
 
-/// Writes the whole picture, at full resolution unless it has too many tiles, and reports what was
-/// written.
-pub fn write(file: &MapFile, layer: &MosaicLayer, path: &Path, anchor: Option<&Anchor>) -> Result<String> {
-    let side = MOSAIC_TILE_PX as u64;
-    let tiles_at = |level: u32| {
-        let tile = side << (layer.finest - level);
-        [&layer.columns, &layer.rows].map(|range| range.start / tile..range.end.div_ceil(tile))
-    };
-    let count = |range: &Range<u64>| range.end - range.start;
-    let fits = |level: &u32| tiles_at(*level).iter().map(count).product::<u64>() <= MOST_TILES;
-    let level = (0..=layer.finest).rev().find(fits).unwrap_or(0);
-    let [columns, rows] = tiles_at(level);
-    let pixel_m = layer.resolution_m * (1_u64 << (layer.finest - level)) as f64;
-    let (width, height) = (count(&columns) * side, count(&rows) * side);
-    let left_m = layer.left_m + (columns.start * side) as f64 * pixel_m;
-    let top_m = layer.top_m - (rows.start * side) as f64 * pixel_m;
-    files::write_with(path, |output| {
-        let broken =
-            |error: TiffError| Error::output(format!("{} cannot be written: {error}", path.display()));
+/// A picture that was written.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct GeoTiff {
+    /// Columns.
+    pub width: u64,
+    /// Rows.
+    pub height: u64,
+    /// Side of a pixel, metres of the map.
+    pub pixel_m: f64,
+    /// Level of the mosaic: the finest unless that has too many tiles.
+    pub level: u32,
+}
+
+impl MapFile {
+    /// Writes the mosaic as a GeoTIFF: in metres of the map, or with an anchor in its UTM zone.
+    /// `go_on` is called before each tile.
+    ///
+    /// # Errors
+    /// If the map cannot be read, the picture cannot be written, or `go_on` fails.
+    pub fn write_geotiff<W: Write + Seek>(
+        &self,
+        layer: &MosaicLayer,
+        output: W,
+        anchor: Option<&Anchor>,
+        go_on: &mut dyn FnMut() -> Result<()>,
+    ) -> Result<GeoTiff> {
+        let side = MOSAIC_TILE_PX as u64;
+        let tiles_at = |level: u32| {
+            let tile = side << (layer.finest - level);
+            [&layer.columns, &layer.rows].map(|range| range.start / tile..range.end.div_ceil(tile))
+        };
+        let count = |range: &Range<u64>| range.end - range.start;
+        let fits = |level: &u32| tiles_at(*level).iter().map(count).product::<u64>() <= MOST_TILES;
+        let level = (0..=layer.finest).rev().find(fits).unwrap_or(0);
+        let [columns, rows] = tiles_at(level);
+        let pixel_m = layer.resolution_m * (1_u64 << (layer.finest - level)) as f64;
+        let (width, height) = (count(&columns) * side, count(&rows) * side);
+        let left_m = layer.left_m + (columns.start * side) as f64 * pixel_m;
+        let top_m = layer.top_m - (rows.start * side) as f64 * pixel_m;
+        let broken = |error: TiffError| Error::output(format!("the picture cannot be written: {error}"));
         let mut encoder = TiffEncoder::new_big(output).map_err(broken)?;
         let mut directory = encoder.image_directory().map_err(broken)?;
         // A tile without an offset is transparent: GDAL's sparse tiles.
         let tiles = (count(&columns) * count(&rows)) as usize;
         let (mut offsets, mut lengths) = (vec![0; tiles], vec![0; tiles]);
-        for (column, row) in file.mosaic_tiles(level)? {
-            interrupt::check()?;
+        for (column, row) in self.mosaic_tiles(level)? {
+            go_on()?;
             if !columns.contains(&column) || !rows.contains(&row) {
                 continue;
             }
-            if let Some(rgba) = file.mosaic_tile(level, column, row)? {
+            if let Some(rgba) = self.mosaic_tile(level, column, row)? {
                 let at = ((row - rows.start) * count(&columns) + column - columns.start) as usize;
                 (offsets[at], lengths[at]) = put_tile(&mut directory, &rgba).map_err(broken)?;
             }
@@ -58,14 +78,12 @@ pub fn write(file: &MapFile, layer: &MosaicLayer, path: &Path, anchor: Option<&A
         describe(&mut directory, (width, height), &offsets, &lengths)
             .and_then(|()| place(&mut directory, (left_m, top_m), pixel_m, anchor))
             .and_then(|()| directory.finish())
-            .map_err(broken)
-    })?;
-    let system =
-        anchor.map_or("metres of the map".to_owned(), |anchor| format!("EPSG:{}", anchor.utm_code()));
-    Ok(format!("{width}x{height} px of {:.2} mm, {system}{}", 1000.0 * pixel_m, coarser(layer, level)))
+            .map_err(broken)?;
+        Ok(GeoTiff { width, height, pixel_m, level })
+    }
 }
 
-fn put_tile<W: std::io::Write + std::io::Seek, K: TiffKind>(
+fn put_tile<W: Write + Seek, K: TiffKind>(
     directory: &mut DirectoryEncoder<'_, W, K>,
     rgba: &[u8],
 ) -> std::result::Result<(u64, u64), TiffError> {
@@ -86,7 +104,7 @@ fn differences(rgba: &[u8]) -> Vec<u8> {
     samples
 }
 
-fn describe<W: std::io::Write + std::io::Seek, K: TiffKind>(
+fn describe<W: Write + Seek, K: TiffKind>(
     directory: &mut DirectoryEncoder<'_, W, K>,
     (width, height): (u64, u64),
     offsets: &[u64],
@@ -112,7 +130,7 @@ fn describe<W: std::io::Write + std::io::Seek, K: TiffKind>(
 }
 
 /// Where the picture lies: in metres of the map, or, with an anchor, in its UTM zone.
-fn place<W: std::io::Write + std::io::Seek, K: TiffKind>(
+fn place<W: Write + Seek, K: TiffKind>(
     directory: &mut DirectoryEncoder<'_, W, K>,
     (left_m, top_m): (f64, f64),
     metres_per_pixel: f64,

@@ -1,0 +1,198 @@
+//! Where on Earth a run was, by a satellite receiver (GNSS): the fixes, the antenna's path, and the
+//! files with positions on Earth.
+
+use crate::earth_statistics::GnssStatistics;
+use crate::files;
+use crate::folder::OutputFolder;
+use crate::kept_frames::KeptFrames;
+use crate::plan::RunPlan;
+use crate::sensors::SensorFiles;
+use nalgebra::{Matrix2, Point3, Vector2};
+use odograph::camera::LeverArm;
+use odograph::error::{Error, Result};
+use odograph::formats::geojson::{self, Feature};
+use odograph::formats::gnss_file;
+use odograph::geometry::EarthPosition;
+use odograph::georeference::{AntennaPosition, Georeference, GnssFix, georeference};
+use odograph::pose_frame::PoseFrames;
+use odograph::trajectory::{FrameSummary, PlaceSummary};
+use std::fmt::Write;
+
+/// The path on Earth as GeoJSON, its frames with UTM coordinates, and the mosaic in UTM.
+pub const GEOJSON: &str = "trajectory.geojson";
+pub const UTM_TABLE: &str = "trajectory-utm.csv";
+pub const UTM_MOSAIC: &str = "mosaic-utm.tif";
+
+/// Largest size of a file of fixes, bytes: weeks of NMEA at ten a second.
+const MAX_BYTES: u64 = 256 << 20;
+
+/// Standard deviation of a receiver's time less the camera's, seconds: of clocks that are
+/// synchronised or of one recorder, and of a start that a person stated.
+const SYNCHRONISED_S: f64 = 0.2;
+const STATED_S: f64 = 1.0;
+
+/// Fixes of a run.
+pub struct GnssRecord {
+    /// The file or topic.
+    name: String,
+    fixes: Vec<GnssFix>,
+    clock_sigma_s: f64,
+}
+
+impl GnssRecord {
+    /// Reads the file, or the topic of the recording; `None` if neither is given.
+    pub fn read(sensors: &SensorFiles, recording: &str) -> Result<Option<Self>> {
+        let start_s = sensors.gnss_start.as_deref().map(start_s).transpose()?;
+        let (name, mut fixes) = match (&sensors.gnss, &sensors.gnss_topic) {
+            (Some(path), _) => {
+                let text = files::read_text_within(path, MAX_BYTES)?;
+                let fixes = gnss_file::parse(&text).map_err(|error| error.at(path.display()))?;
+                (path.display().to_string(), fixes)
+            }
+            (None, Some(topic)) => (topic.clone(), odograph_video::recorded_fixes(recording, topic)?),
+            (None, None) if start_s.is_some() => {
+                return Err(Error::usage(
+                    "a start for a satellite receiver needs its positions: --gnss FILE",
+                ));
+            }
+            (None, None) => return Ok(None),
+        };
+        fixes.iter_mut().for_each(|fix| fix.time_s -= start_s.unwrap_or(0.0));
+        let clock_sigma_s = if start_s.is_some() { STATED_S } else { SYNCHRONISED_S };
+        Ok(Some(Self { name, fixes, clock_sigma_s }))
+    }
+
+    /// The times of the first and the last fix, seconds of the recording.
+    fn span_s(&self) -> Option<(f64, f64)> {
+        Some((self.fixes.first()?.time_s, self.fixes.last()?.time_s))
+    }
+
+    /// Places a run on Earth.
+    pub fn place(&self, plan: &RunPlan, path: &[AntennaPosition], frames: &[FrameSummary]) -> OnEarth {
+        let span_s = frames.first().zip(frames.last()).map(|(first, last)| (first.time_s, last.time_s));
+        let apart = self.span_s().zip(span_s).filter(|(own, run)| own.0 > run.1 || own.1 < run.0);
+        let reason = match (apart, georeference(path, &self.fixes, self.clock_sigma_s)) {
+            (Some((own, run)), _) => {
+                let hint = if plan.sensors.gnss_start.is_some() {
+                    "check --gnss-start"
+                } else {
+                    "--gnss-start tells when the recording's time was 0 (UTC)"
+                };
+                format!(
+                    "its positions are of {:.1} to {:.1} s and the frames of {:.1} to {:.1} s; {hint}",
+                    own.0, own.1, run.0, run.1
+                )
+            }
+            (None, Err(reason)) => reason.to_string(),
+            (None, Ok(found)) => {
+                let statistics = GnssStatistics::of(&self.fixes, &found);
+                let warnings = statistics.warnings(&self.name, plan.rig.height_m);
+                return OnEarth { statistics, warnings, place: Some(found) };
+            }
+        };
+        let warnings = vec![format!("the positions of {} are not used: {reason}", self.name)];
+        let statistics =
+            GnssStatistics { fixes: self.fixes.len(), reason: Some(reason), ..GnssStatistics::default() };
+        OnEarth { statistics, warnings, place: None }
+    }
+}
+
+/// The time of a recording's 0, seconds since 1970.
+fn start_s(text: &str) -> Result<f64> {
+    gnss_file::parse_utc(text).ok_or_else(|| {
+        Error::usage(format!(
+            "{text:?} is no time; give the UTC at which the recording's time was 0 as 2026-05-04T10:12:33.5Z"
+        ))
+    })
+}
+
+/// The path of the antenna, from the frames of the camera's path; without a lever arm of the
+/// antenna that of `base_link`, or of the camera.
+pub fn antenna_path(
+    frames: &mut KeptFrames,
+    of: &PoseFrames,
+    antenna: Option<&LeverArm>,
+) -> Result<Vec<AntennaPosition>> {
+    let arm = antenna.map_or_else(Point3::origin, |arm| Point3::new(arm.x_m, arm.y_m, arm.z_m));
+    let mut path = Vec::with_capacity(frames.posed());
+    frames.each(|frame, _| {
+        let own = of.at(frame.frame);
+        if let Some(known) = &own.frame(frame).estimate {
+            let there = own.world_from_frame(&known.pose) * arm;
+            path.push(AntennaPosition {
+                time_s: frame.time_s,
+                position_m: Vector2::new(there.x, there.y),
+                covariance_m2: known.covariance.fixed_view::<2, 2>(0, 0).into_owned(),
+                segment: frame.segment,
+            });
+        }
+        Ok(())
+    })?;
+    Ok(path)
+}
+
+/// Result of the satellite receiver.
+pub struct OnEarth {
+    pub statistics: GnssStatistics,
+    pub warnings: Vec<String>,
+    /// `None` if the run has no place on Earth.
+    pub place: Option<Georeference>,
+}
+
+/// Writes the path on Earth, or removes that of an earlier run.
+pub fn write(folder: &mut OutputFolder, place: Option<&Georeference>, frames: &[FrameSummary]) -> Result<()> {
+    let Some(found) = place else {
+        return [GEOJSON, UTM_TABLE, UTM_MOSAIC].iter().try_for_each(|name| folder.remove(name));
+    };
+    folder.write(GEOJSON, geojson::write(&stretches(found, frames)).as_bytes())?;
+    folder.write_lines(UTM_TABLE, UTM_HEADER, |put| {
+        let placed = frames.iter().filter_map(|frame| Some((frame, frame.place?)));
+        placed.into_iter().try_for_each(|(frame, place)| put(&utm_line(found, frame, &place)))
+    })
+}
+
+fn stretches(found: &Georeference, frames: &[FrameSummary]) -> Vec<Feature> {
+    let placed: Vec<(&FrameSummary, PlaceSummary)> =
+        frames.iter().filter_map(|frame| Some((frame, frame.place?))).collect();
+    let connected = placed.chunk_by(|(a, _), (b, _)| a.segment == b.segment);
+    connected
+        .filter(|stretch| stretch.len() > 1)
+        .map(|stretch| {
+            let (first, last) = (stretch[0].0, stretch[stretch.len() - 1].0);
+            let place = |(_, place): &(&FrameSummary, PlaceSummary)| -> EarthPosition {
+                found.anchor.place(place.x_m, place.y_m)
+            };
+            Feature {
+                properties: vec![
+                    ("segment", first.segment.to_string()),
+                    ("start_s", format!("{:?}", first.time_s)),
+                    ("end_s", format!("{:?}", last.time_s)),
+                ],
+                places: stretch.iter().map(place).collect(),
+            }
+        })
+        .collect()
+}
+
+const UTM_HEADER: &str = "frame,time_s,latitude_deg,longitude_deg,easting_m,northing_m,epsg,bearing_deg,sigma_east_m,sigma_north_m,\
+                          sigma_bearing_deg\n";
+
+fn utm_line(found: &Georeference, frame: &FrameSummary, place: &PlaceSummary) -> String {
+    let (longitude, latitude) = geojson::degrees(&found.anchor.place(place.x_m, place.y_m));
+    let (easting_m, northing_m) = found.anchor.utm(place.x_m, place.y_m);
+    let [xx, xy, yy] = place.position_covariance;
+    let covariance = found.covariance_m2(Vector2::new(place.x_m, place.y_m), &Matrix2::new(xx, xy, xy, yy));
+    let bearing_sigma_rad = (place.heading_variance + found.heading_sigma_rad.powi(2)).max(0.0).sqrt();
+    let mut line =
+        format!("{},{:.6},{latitude},{longitude},{easting_m:.4},{northing_m:.4},", frame.frame, frame.time_s);
+    let _ = writeln!(
+        line,
+        "{},{:.5},{:.4},{:.4},{:.5}",
+        found.anchor.utm_code(),
+        found.anchor.bearing_rad(place.heading_rad).to_degrees(),
+        covariance[(0, 0)].max(0.0).sqrt(),
+        covariance[(1, 1)].max(0.0).sqrt(),
+        bearing_sigma_rad.to_degrees()
+    );
+    line
+}

@@ -1,0 +1,355 @@
+//! The estimate: a first one by random sampling, then iteratively reweighted least squares
+//! (`docs/math/georeference.md`).
+
+use super::{AntennaPosition, GnssFix};
+use crate::geometry::{GroundPoint, Sim2};
+use crate::motion::Random;
+use crate::numerics::{Loss, robust_variance};
+use nalgebra::{Matrix2, Matrix5, SMatrix, Vector2, Vector5};
+use std::f64::consts::PI;
+
+/// The unknowns: direction of the map's x, counter-clockwise from east; east and north of the
+/// path's middle; the receiver's time less the camera's; logarithm of the scale.
+pub const HEADING: usize = 0;
+pub const EAST: usize = 1;
+const NORTH: usize = 2;
+pub const CLOCK: usize = 3;
+pub const SCALE: usize = 4;
+
+/// Longest time between two frames over which the path is interpolated, seconds.
+const LONGEST_STEP_S: f64 = 1.0;
+
+/// A fix with the path at its time.
+#[derive(Debug, Clone, Copy)]
+pub struct Pair {
+    /// Number of the fix.
+    pub fix: usize,
+    /// The antenna in the map.
+    pub position_m: Vector2<f64>,
+    velocity_m_s: Vector2<f64>,
+    path_covariance_m2: Matrix2<f64>,
+    /// The fix in the tangent plane.
+    in_plane_m: Vector2<f64>,
+    pub covariance_m2: Matrix2<f64>,
+}
+
+/// Path and fixes.
+pub struct Pairing<'a> {
+    pub path: &'a [AntennaPosition],
+    pub fixes: &'a [GnssFix],
+    /// The fixes in the tangent plane, metres.
+    pub in_plane: &'a [Vector2<f64>],
+}
+
+impl Pairing<'_> {
+    /// The fixes at whose times there is a path, if the receiver's clock is ahead by `offset_s`.
+    pub fn at(&self, offset_s: f64) -> Vec<Pair> {
+        (0..self.fixes.len()).filter_map(|fix| self.pair(fix, offset_s)).collect()
+    }
+
+    fn pair(&self, fix: usize, offset_s: f64) -> Option<Pair> {
+        let time_s = self.fixes[fix].time_s - offset_s;
+        let next = self.path.partition_point(|at| at.time_s <= time_s).min(self.path.len().checked_sub(1)?);
+        let (before, after) = (&self.path[next.checked_sub(1)?], &self.path[next]);
+        let step_s = after.time_s - before.time_s;
+        let within = (before.time_s..=after.time_s).contains(&time_s);
+        let is_step = step_s > 0.0 && step_s <= LONGEST_STEP_S;
+        if !within || !is_step || before.segment != after.segment {
+            return None;
+        }
+        let velocity_m_s = (after.position_m - before.position_m) / step_s;
+        Some(Pair {
+            fix,
+            position_m: before.position_m + velocity_m_s * (time_s - before.time_s),
+            velocity_m_s,
+            path_covariance_m2: after.covariance_m2,
+            in_plane_m: self.in_plane[fix],
+            covariance_m2: self.fixes[fix].covariance_m2,
+        })
+    }
+}
+
+/// Values of the unknowns.
+#[derive(Debug, Clone, Copy)]
+struct Model {
+    heading_rad: f64,
+    middle_in_plane_m: Vector2<f64>,
+    offset_s: f64,
+    scale: f64,
+}
+
+impl Model {
+    fn rotation(&self) -> Matrix2<f64> {
+        let (sin, cos) = self.heading_rad.sin_cos();
+        Matrix2::new(cos, -sin, sin, cos)
+    }
+
+    fn residual(&self, pair: &Pair, middle_m: Vector2<f64>) -> Vector2<f64> {
+        let arm = self.scale * (self.rotation() * (pair.position_m - middle_m));
+        pair.in_plane_m - self.middle_in_plane_m - arm
+    }
+
+    /// Covariance of the residual.
+    fn covariance(&self, pair: &Pair) -> Matrix2<f64> {
+        let turned = self.scale * self.rotation();
+        pair.covariance_m2 + turned * pair.path_covariance_m2 * turned.transpose()
+    }
+}
+
+/// The estimate.
+pub struct Fitted {
+    /// From the map to the tangent plane.
+    pub pose: Sim2,
+    pub offset_s: f64,
+    pub middle_m: Vector2<f64>,
+    pub covariance: Matrix5<f64>,
+    pub used: Vec<Pair>,
+}
+
+impl Fitted {
+    /// A fix less where the path has it, metres east and north.
+    pub fn residual(&self, pair: &Pair) -> Vector2<f64> {
+        let there = self.pose.apply(GroundPoint::new(pair.position_m.x, pair.position_m.y));
+        pair.in_plane_m - Vector2::new(there.x_m, there.y_m)
+    }
+}
+
+/// Residuals beyond this many standard deviations are outliers; of normal ones, one in ten
+/// thousand.
+const GATE_SQUARED: f64 = 18.4;
+/// Standard deviations up to which a residual counts nearly in full.
+const LOSS: Loss = Loss::Cauchy(3.0);
+/// Reduction of the squared residuals by which a scale is shown; noise does so in one of a million
+/// recordings.
+const SCALE_SHOWN: f64 = 25.0;
+/// Standard deviation of a scale: of a height measured with a tape.
+const SCALE_SIGMA: f64 = 0.03;
+
+/// The estimate; `None` if no fix falls on the path.
+pub fn fit(pairing: &Pairing<'_>, clock_sigma_s: f64) -> Option<Fitted> {
+    let (start, middle_m) = sampled(pairing, clock_sigma_s)?;
+    let solver = Solver { pairing, middle_m, clock_sigma_s };
+    let rigid = solver.solve(start, false, None)?;
+    let scaled = solver.solve(rigid.model, true, None)?;
+    let cost = |of: &Solution| of.squares.iter().map(|s| LOSS.of_square(s / scaled.variance)).sum::<f64>();
+    let correlated = (scaled.spread / scaled.variance * scaled.correlation(middle_m)).max(1.0);
+    let gain = (cost(&rigid) - cost(&scaled)) / correlated;
+    let with_scale = gain > SCALE_SHOWN;
+    let mut solution = if with_scale { scaled } else { rigid };
+    // Without the outliers, until these stay the same.
+    let mut used: Vec<bool> = Vec::new();
+    for _ in 0..ROUNDS {
+        let variance = solution.variance;
+        let mut now = vec![false; pairing.fixes.len()];
+        for pair in pairing.at(solution.model.offset_s) {
+            now[pair.fix] = squared(&solution.model, &pair, middle_m)? <= GATE_SQUARED * variance;
+        }
+        if now == used || now.iter().filter(|used| **used).count() < super::FEWEST {
+            break;
+        }
+        used = now;
+        solution = Solution { variance, ..solver.solve(solution.model, with_scale, Some(&used))? };
+    }
+    let unknowns = if with_scale { 5.0 } else { 4.0 };
+    let freedom = (2.0 * solution.pairs.len() as f64 - unknowns).max(1.0);
+    let variance = solution.squares.iter().sum::<f64>() / freedom;
+    // Residuals that are smaller than stated may be so by chance.
+    let mut information = solution.information / (variance * solution.correlation(middle_m)).max(1.0);
+    solver.add_priors(&mut information, with_scale);
+    let mut covariance = information.cholesky()?.inverse();
+    if !with_scale {
+        covariance.row_mut(SCALE).fill(0.0);
+        covariance.column_mut(SCALE).fill(0.0);
+    }
+    let model = solution.model;
+    let origin = model.middle_in_plane_m - model.scale * (model.rotation() * middle_m);
+    let pose = Sim2 { x_m: origin.x, y_m: origin.y, heading_rad: model.heading_rad, scale: model.scale };
+    Some(Fitted { pose, offset_s: model.offset_s, middle_m, covariance, used: solution.pairs })
+}
+
+/// Most rounds of rejecting outliers.
+const ROUNDS: usize = 10;
+
+/// The squared residual of a pair in its standard deviations.
+fn squared(model: &Model, pair: &Pair, middle_m: Vector2<f64>) -> Option<f64> {
+    let residual = model.residual(pair, middle_m);
+    Some(residual.dot(&(model.covariance(pair).try_inverse()? * residual)))
+}
+
+struct Solver<'a> {
+    pairing: &'a Pairing<'a>,
+    middle_m: Vector2<f64>,
+    clock_sigma_s: f64,
+}
+
+/// A minimum.
+struct Solution {
+    model: Model,
+    pairs: Vec<Pair>,
+    /// The squared residual of each pair.
+    squares: Vec<f64>,
+    /// Robust variance of the residuals in units of the stated one, and the same if it is above 1.
+    spread: f64,
+    variance: f64,
+    /// Of the pairs alone, with the stated variance.
+    information: Matrix5<f64>,
+}
+
+/// Most iterations, and the change of an unknown in standard deviations at which they end.
+const ITERATIONS: usize = 60;
+const CONVERGED: f64 = 1e-4;
+
+impl Solver<'_> {
+    /// Gauss–Newton with Cauchy's loss on all pairs, or by least squares on the `chosen` fixes.
+    fn solve(&self, start: Model, with_scale: bool, chosen: Option<&[bool]>) -> Option<Solution> {
+        let mut model = start;
+        for iteration in 0.. {
+            let mut pairs = self.pairing.at(model.offset_s);
+            pairs.retain(|pair| chosen.is_none_or(|chosen| chosen[pair.fix]));
+            let squares: Option<Vec<f64>> =
+                pairs.iter().map(|pair| squared(&model, pair, self.middle_m)).collect();
+            let squares = squares?;
+            let spread = robust_variance::<2>(&mut squares.clone())?;
+            let variance = spread.max(1.0);
+            let (mut information, mut push) = (Matrix5::zeros(), Vector5::zeros());
+            for (pair, square) in pairs.iter().zip(&squares) {
+                let weight = match chosen {
+                    Some(_) => 1.0,
+                    None => LOSS.weight_of_square(square / variance),
+                };
+                let jacobian = self.jacobian(&model, pair, with_scale);
+                let weighted = jacobian.transpose() * model.covariance(pair).try_inverse()? * weight;
+                information += weighted * jacobian;
+                push += weighted * model.residual(pair, self.middle_m);
+            }
+            if iteration == ITERATIONS {
+                return Some(Solution { model, pairs, squares, spread, variance, information });
+            }
+            let mut with_priors = information / variance;
+            let mut push = push / variance;
+            self.add_priors(&mut with_priors, with_scale);
+            push[CLOCK] -= model.offset_s / self.clock_sigma_s.powi(2);
+            if with_scale {
+                push[SCALE] -= model.scale.ln() / SCALE_SIGMA.powi(2);
+            }
+            let change = with_priors.cholesky()?.solve(&push);
+            if !change.iter().all(|value| value.is_finite()) {
+                return None;
+            }
+            if change.dot(&(with_priors * change)) < CONVERGED * CONVERGED {
+                return Some(Solution { model, pairs, squares, spread, variance, information });
+            }
+            model.heading_rad += change[HEADING].clamp(-0.5, 0.5);
+            model.middle_in_plane_m += Vector2::new(change[EAST], change[NORTH]);
+            // No further than the deviation in one step: the path is linear only nearby.
+            model.offset_s += change[CLOCK].clamp(-self.clock_sigma_s, self.clock_sigma_s);
+            model.scale *= change[SCALE].clamp(-0.1, 0.1).exp();
+        }
+        None
+    }
+
+    /// Derivative of where the path has a fix.
+    fn jacobian(&self, model: &Model, pair: &Pair, with_scale: bool) -> SMatrix<f64, 2, 5> {
+        let turned = model.scale * model.rotation();
+        let arm = turned * (pair.position_m - self.middle_m);
+        let by_clock = -(turned * pair.velocity_m_s);
+        let by_scale = if with_scale { arm } else { Vector2::zeros() };
+        SMatrix::from_columns(&[Vector2::new(-arm.y, arm.x), Vector2::x(), Vector2::y(), by_clock, by_scale])
+    }
+
+    /// Nothing is known of the direction, which keeps the matrix regular where the path has no
+    /// extent.
+    fn add_priors(&self, information: &mut Matrix5<f64>, with_scale: bool) {
+        information[(HEADING, HEADING)] += 1.0 / (PI * PI);
+        information[(CLOCK, CLOCK)] += 1.0 / self.clock_sigma_s.powi(2);
+        information[(SCALE, SCALE)] += if with_scale { 1.0 / SCALE_SIGMA.powi(2) } else { 1.0 };
+    }
+}
+
+impl Solution {
+    /// How many times more uncertain a mean of the residuals is than one of independent residuals,
+    /// as variance: (1 + ρ) / (1 − ρ) of a first-order autoregressive process with the correlation
+    /// ρ of neighbours.
+    fn correlation(&self, middle_m: Vector2<f64>) -> f64 {
+        let reach = GATE_SQUARED * self.variance;
+        let whitened: Vec<Vector2<f64>> = self
+            .pairs
+            .iter()
+            .zip(&self.squares)
+            .filter(|(_, square)| **square <= reach)
+            .filter_map(|(pair, _)| {
+                let factor = self.model.covariance(pair).cholesky()?;
+                factor.l().solve_lower_triangular(&self.model.residual(pair, middle_m))
+            })
+            .collect();
+        let both: f64 = whitened.windows(2).map(|two| two[0].dot(&two[1])).sum();
+        let all: f64 = whitened.iter().map(Vector2::norm_squared).sum();
+        let correlation = if all > 0.0 { (both / all).clamp(0.0, 0.98) } else { 0.0 };
+        (1.0 + correlation) / (1.0 - correlation)
+    }
+}
+
+/// Samples, and fixes that judge them.
+const SAMPLES: usize = 400;
+const JUDGES: usize = 400;
+/// Squared residual in standard deviations from which a fix counts as an outlier of a sample.
+const SAMPLE_GATE_SQUARED: f64 = 16.0;
+/// Error of the path as a fraction of the distance from its middle, for samples only: scale and
+/// bends.
+const PATH_TOLERANCE: f64 = 0.02;
+/// Offset of the clocks that a sample tolerates, seconds; larger ones are searched in these steps.
+const CLOCK_TOLERANCE_S: f64 = 0.2;
+const CLOCK_STEP_S: f64 = 0.1;
+
+/// The best of the placements by two random fixes, and the middle of the path at the fixes (M. A.
+/// Fischler and R. C. Bolles, 1981; the cost is MSAC's, P. H. S. Torr and A. Zisserman, 2000).
+fn sampled(pairing: &Pairing<'_>, clock_sigma_s: f64) -> Option<(Model, Vector2<f64>)> {
+    let steps = if clock_sigma_s <= CLOCK_TOLERANCE_S {
+        0
+    } else {
+        (3.0 * clock_sigma_s / CLOCK_STEP_S).ceil() as i64
+    };
+    let tolerated_s = if steps == 0 { clock_sigma_s } else { CLOCK_STEP_S };
+    let mut best: Option<(f64, Model, Vector2<f64>)> = None;
+    for step in -steps..=steps {
+        let offset_s = step as f64 * CLOCK_STEP_S;
+        let pairs = pairing.at(offset_s);
+        let Some(middle_m) = middle(&pairs) else { continue };
+        let judges: Vec<Pair> = pairs.iter().step_by(pairs.len().div_ceil(JUDGES)).copied().collect();
+        let missing = (pairing.fixes.len() - pairs.len()) as f64 / pairs.len() as f64;
+        let own = (offset_s / clock_sigma_s).powi(2) + SAMPLE_GATE_SQUARED * missing * judges.len() as f64;
+        let mut random = Random::new(0);
+        for _ in 0..SAMPLES {
+            let [a, b] = [(); 2].map(|()| &judges[random.below(judges.len())]);
+            let (in_map, on_earth) = (b.position_m - a.position_m, b.in_plane_m - a.in_plane_m);
+            let heading_rad = if in_map.norm() > 0.0 {
+                on_earth.y.atan2(on_earth.x) - in_map.y.atan2(in_map.x)
+            } else {
+                0.0
+            };
+            let mut model = Model { heading_rad, middle_in_plane_m: Vector2::zeros(), offset_s, scale: 1.0 };
+            model.middle_in_plane_m = 0.5 * (model.residual(a, middle_m) + model.residual(b, middle_m));
+            let cost =
+                own + judges.iter().map(|pair| sample_cost(&model, pair, middle_m, tolerated_s)).sum::<f64>();
+            if best.as_ref().is_none_or(|(least, ..)| cost < *least) {
+                best = Some((cost, model, middle_m));
+            }
+        }
+    }
+    best.map(|(_, model, middle_m)| (model, middle_m))
+}
+
+fn sample_cost(model: &Model, pair: &Pair, middle_m: Vector2<f64>, tolerated_s: f64) -> f64 {
+    let by_clock = model.rotation() * pair.velocity_m_s * tolerated_s;
+    let bends_m2 = (PATH_TOLERANCE * (pair.position_m - middle_m).norm()).powi(2);
+    let covariance =
+        model.covariance(pair) + by_clock * by_clock.transpose() + Matrix2::identity() * bends_m2;
+    let residual = model.residual(pair, middle_m);
+    covariance.try_inverse().map_or(SAMPLE_GATE_SQUARED, |information| {
+        residual.dot(&(information * residual)).min(SAMPLE_GATE_SQUARED)
+    })
+}
+
+fn middle(pairs: &[Pair]) -> Option<Vector2<f64>> {
+    (!pairs.is_empty()).then(|| pairs.iter().map(|p| p.position_m).sum::<Vector2<f64>>() / pairs.len() as f64)
+}
