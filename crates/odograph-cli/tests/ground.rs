@@ -132,7 +132,7 @@ fn unsuitable_input_is_refused_in_one_sentence() {
         (vec![&floor, "--board", BOARD, "--height", "1"], 2, "cannot be used with"),
         (vec![&floor], 2, "driving alone does not determine the height"),
         (vec![&floor, &bare, "--height", "1"], 2, "give one recording"),
-        (vec![&floor, "--height", "1"], 3, "enough movement"),
+        (vec![&floor, "--height", "1"], 3, "too little motion"),
         (vec![&floor, "--distance", "-3"], 2, "a distance of -3 m"),
         (vec!["-", "--height", "1"], 2, "read twice"),
         (vec!["nowhere.png", "--board", BOARD], 3, "nowhere.png"),

@@ -245,12 +245,13 @@ impl Appearance {
 mod tests {
     use super::*;
 
-    /// An image of noise in squares of `width` by `height` pixels.
+    /// An image of noise in squares of `width` by `height` pixels, and fainter noise of each pixel.
     fn squares(width: usize, height: usize) -> GrayImage {
         let gray = |x: usize, y: usize| {
             let mixed = ((x / width + 1) as u64).wrapping_mul(0x9E37_79B9_7F4A_7C15)
                 ^ ((y / height + 1) as u64).wrapping_mul(0xBF58_476D_1CE4_E5B9);
             64 + ((mixed ^ (mixed >> 29)).wrapping_mul(0x94D0_49BB_1331_11EB) >> 57) as u8
+                + ((7 * x + 3 * y) % 5) as u8
         };
         let samples = (0..320 * 240).map(|at| gray(at % 320, at / 320)).collect();
         GrayImage::from_samples(320, 240, samples).unwrap()
