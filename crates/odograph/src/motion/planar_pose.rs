@@ -139,17 +139,17 @@ pub fn refine(
             (POSE..nuisance.count.min(WITH_KEYFRAME)).for_each(|i| tracks_alone.hold(i));
             let slope = *tracks_alone.slope();
             let tracks_alone = tracks_alone.factor()?;
-            // The noise of the tracks is what remains without the prior: a misfit by a prior that
-            // is too tight would otherwise count as noise and confirm that prior.
+            // A misfit by a prior that is too tight is not noise: as noise it would confirm that
+            // prior. It is such a misfit where the fit without the prior explains most of it.
             let step = tracks_alone.solve(&slope);
             nuisance.errors_after(&step, &residuals, &mut free_errors);
             free_lengths.iter_mut().zip(&*free_errors).for_each(|(length, [x, y])| *length = x.hypot(*y));
             let free_px = robust_scale(&free_lengths, config.inlier_px, &mut free_sorted);
             let is_explained = free_px < EXPLAINED * scale_px;
-            let free_px = if is_explained { free_px } else { scale_px };
-            let held_px = well_constrained_scale(camera, &pose, &equations, &weights, free_px);
-            let shared_px = shared_px(free_px, prior.shared_fraction * held_px);
-            let evidence = evidence(camera, &tracks_alone, &pose, &rig_prior, free_px, shared_px);
+            let noise_px = if is_explained { free_px } else { scale_px };
+            let held_px = well_constrained_scale(camera, &pose, &equations, &weights, noise_px);
+            let shared_px = shared_px(noise_px, prior.shared_fraction * held_px);
+            let evidence = evidence(camera, &tracks_alone, &pose, &rig_prior, noise_px, shared_px);
             if widen(&mut prior, &evidence) {
                 continue;
             }

@@ -321,10 +321,16 @@ impl RigPriorEstimator {
         let (process_variance, independent_fraction) =
             (self.process_variance(), 1.0 - self.residual_correlation.shared_fraction());
         let steps = self.variations.map(|variation| variation.steps.mean_square);
-        let is_mounted = steps[1].max(steps[2]) < MAX_MOUNTED_STEP * MAX_MOUNTED_STEP;
+        let is_mounted = self.is_mounted();
         let variance =
             |i: usize| independent_fraction * (process_variance[i] - MAX_LONG_TERM_RATIO * steps[i]).max(0.0);
         [1, 2].map(|i| if is_mounted { variance(i) } else { 0.0 })
+    }
+
+    /// Whether roll and pitch hardly change from frame to frame: the camera is fixed to a carrier.
+    fn is_mounted(&self) -> bool {
+        let [_, roll, pitch] = self.variations.map(|variation| variation.steps.mean_square);
+        roll.max(pitch) < MAX_MOUNTED_STEP * MAX_MOUNTED_STEP
     }
 
     /// Mean squared errors of the roll and pitch that are taken for the mount's, radians².
@@ -358,8 +364,12 @@ impl RigPriorEstimator {
         (self.ground_level_m, self.unevenness_m2) = (ground_level_m, unevenness_m2);
     }
 
-    /// Forgets the variation of the rig and the tilt of the mount.
+    /// Forgets the variation of a mounted rig and the tilt of its mount. One that moves from frame
+    /// to frame does so over any ground.
     pub fn reset(&mut self) {
+        if !self.is_mounted() {
+            return;
+        }
         self.deviations = Default::default();
         self.mount_tilt = [MountTilt::UNKNOWN; 2];
         self.variations = Default::default();

@@ -230,13 +230,18 @@ fn a_rendered_drive_gives_the_tilt_from_five_degrees_off() {
 
 #[test]
 fn a_shaking_mount_gives_its_mean_tilt_and_a_wider_deviation() {
-    let vibration = Vibration { shift_m: 0.001, turn_rad: 0.004, frequency_hz: 5.0 };
-    let effects = Effects { vibration: Some(vibration), ..Effects::default() };
-    let (found, _) = measured(&drive(RIG, effects, EIGHT), Rig::level(RIG.height_m), 1);
-    let deviation = found.covariance.trace().sqrt();
-    // The tilt of 16 views shaken by 0.16° has a mean that is off by 0.04° by chance; the stated
-    // deviation has a third of that, so that this drive is four of them off.
-    assert!(off(&found).norm() < 4.5 * deviation && deviation < 0.2f64.to_radians(), "{found:?}");
+    // One drive alone is a matter of which phase of the vibration its keyframes meet: between 0.5
+    // and 4.1 stated deviations here. The mean over drives is 2.2 where 1 would be right.
+    let squares = [3.0, 4.0, 5.0, 6.0, 7.0, 9.0].map(|frequency_hz| {
+        let vibration = Vibration { shift_m: 0.001, turn_rad: 0.004, frequency_hz };
+        let effects = Effects { vibration: Some(vibration), ..Effects::default() };
+        let (found, _) = measured(&drive(RIG, effects, EIGHT), Rig::level(RIG.height_m), 1);
+        let variance = found.covariance.trace();
+        assert!(variance.sqrt() < 0.2f64.to_radians(), "{found:?}");
+        off(&found).norm_squared() / variance
+    });
+    let root_mean_square = (squares.iter().sum::<f64>() / squares.len() as f64).sqrt();
+    assert!(root_mean_square < 2.5, "{root_mean_square}: {squares:?}");
 }
 
 /// What [`CalibrationMonitor`] finds in a drive if the rig `given` is used, and after which frame.
