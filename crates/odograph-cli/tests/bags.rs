@@ -454,9 +454,9 @@ fn the_fixes_of_a_recording_place_its_path_on_earth() {
     assert!((gnss["bearing_deg"].as_f64().unwrap() - 0.4f64.to_degrees()).abs() < 0.05, "{gnss}");
     assert!(gnss["rmse_m"].as_f64().unwrap() < 1e-3, "{gnss}");
     let output = odograph(here, "run drive.mcap --height 1.0 --gnss-topic /fix -o refused");
-    let told = String::from_utf8_lossy(&output.stderr).into_owned();
+    let message = String::from_utf8_lossy(&output.stderr).into_owned();
     assert!(
-        told.contains("there is no topic /fix of the type sensor_msgs/NavSatFix for a satellite receiver"),
-        "{told}"
+        message.contains("there is no topic /fix of the type sensor_msgs/NavSatFix for a satellite receiver"),
+        "{message}"
     );
 }

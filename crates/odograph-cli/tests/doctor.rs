@@ -253,7 +253,7 @@ fn findings_are_a_line_each_and_bad_input_is_an_error() {
     assert!(text.lines().nth(1).unwrap().starts_with("61 of 61 frames looked at"), "{text}");
     let first = text.lines().nth(2).unwrap();
     assert!(
-        first.starts_with("limits  camera file: none is given") && first.contains("; give --camera"),
+        first.starts_with("limits  camera file: not given") && first.contains("; give --camera"),
         "{text}"
     );
     let quiet = String::from_utf8(odograph(&["doctor", &source, "--quiet"]).stdout).unwrap();

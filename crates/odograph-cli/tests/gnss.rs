@@ -21,9 +21,9 @@ fn odograph(folder: &Path, arguments: &str) -> Output {
 
 fn done(folder: &Path, arguments: &str) -> String {
     let output = odograph(folder, arguments);
-    let told = String::from_utf8_lossy(&output.stderr).into_owned();
-    assert!(output.status.success(), "{arguments}: {told}");
-    told
+    let message = String::from_utf8_lossy(&output.stderr).into_owned();
+    assert!(output.status.success(), "{arguments}: {message}");
+    message
 }
 
 /// Numbers from −1 to 1.
@@ -140,15 +140,15 @@ fn rtk_puts_the_path_on_earth_within_a_centimetre() {
     let drive = Drive::new();
     let here = drive.here();
     fs::write(here.join("rtk.csv"), drive.csv()).unwrap();
-    let told = drive.run("--gnss rtk.csv -o rtk");
+    let message = drive.run("--gnss rtk.csv -o rtk");
     let off_m = drive.off_m("rtk");
     assert!(off_m < 0.01, "{off_m}");
     let gnss = &drive.statistics("rtk")["gnss"];
     let [fixes, used, rejected] = ["fixes", "used", "rejected"].map(|name| gnss[name].as_u64().unwrap());
     assert!(rejected == (fixes + 5) / 10 && used + rejected >= fixes - 1, "{gnss}");
     assert!(
-        told.contains(&format!("{rejected} of {fixes} positions of rtk.csv contradict the path")),
-        "{told}"
+        message.contains(&format!("{rejected} of {fixes} positions of rtk.csv contradict the path")),
+        "{message}"
     );
     assert!((gnss["rmse_m"].as_f64().unwrap() - 0.028).abs() < 0.006, "{gnss}");
     assert!((gnss["bearing_deg"].as_f64().unwrap() - 2f64.to_degrees()).abs() < 0.5, "{gnss}");
@@ -203,8 +203,11 @@ fn sentences_with_the_time_of_day_are_aligned_by_the_start() {
     assert!(off_m < 0.015, "{off_m}");
     let offset_s = drive.statistics("nmea")["gnss"]["clock_offset_s"].as_f64().unwrap();
     assert!((offset_s + 0.6).abs() < 0.03, "{offset_s}");
-    let told = drive.run("--gnss log.nmea -o apart");
-    assert!(told.contains("--gnss-start tells when the recording's time was 0 (UTC)"), "{told}");
+    let message = drive.run("--gnss log.nmea -o apart");
+    assert!(
+        message.contains("--gnss-start gives the time (UTC) at which the recording's time is 0"),
+        "{message}"
+    );
 }
 
 #[test]
@@ -236,8 +239,8 @@ fn what_cannot_be_used_is_told_in_a_sentence() {
                 "run sim/frames --fps 15 --camera sim/camera.yaml --rig armed.toml --gnss {name} -o out"
             ),
         );
-        let told = String::from_utf8_lossy(&output.stderr).into_owned();
-        assert!(told.contains(words) && output.status.code() == Some(3), "{name}: {told}");
+        let message = String::from_utf8_lossy(&output.stderr).into_owned();
+        assert!(message.contains(words) && output.status.code() == Some(3), "{name}: {message}");
         assert!(!here.join("out").exists());
     }
     let noon = odograph(
@@ -256,8 +259,8 @@ fn what_cannot_be_used_is_told_in_a_sentence() {
         ("still.csv", still, "the positions of still.csv are not used: "),
     ] {
         fs::write(here.join(name), text).unwrap();
-        let told = drive.run(&format!("--gnss {name} -o out --force --max-frames 60"));
-        assert!(told.contains(words), "{name}: {told}");
+        let message = drive.run(&format!("--gnss {name} -o out --force --max-frames 60"));
+        assert!(message.contains(words), "{name}: {message}");
         let gnss = &drive.statistics("out")["gnss"];
         assert!(gnss["used"] == 0 && gnss["reason"].is_string(), "{gnss}");
         assert!(here.join("out/trajectory.tum").exists() && !here.join("out/trajectory.geojson").exists());

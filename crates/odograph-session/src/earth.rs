@@ -76,7 +76,7 @@ impl GnssRecord {
                 let hint = if plan.sensors.gnss_start.is_some() {
                     "check --gnss-start"
                 } else {
-                    "--gnss-start tells when the recording's time was 0 (UTC)"
+                    "--gnss-start gives the time (UTC) at which the recording's time is 0"
                 };
                 format!(
                     "its positions are of {:.1} to {:.1} s and the frames of {:.1} to {:.1} s; {hint}",

@@ -387,8 +387,8 @@ impl Finishing<'_> {
                 Ok(true) => self.folder.is_written(path),
                 Ok(false) => self.folder.remove(earth::UTM_MOSAIC)?,
                 Err(error) => {
-                    let told = format!("there is no picture of the ground on Earth: {error}");
-                    tracked.warnings.push(told);
+                    let warning = format!("there is no picture of the ground on Earth: {error}");
+                    tracked.warnings.push(warning);
                     self.failure.get_or_insert(error);
                 }
             }

@@ -189,7 +189,7 @@ impl FoundReadout {
         Some(if self.is_known() && readout_ms.abs() <= GLOBAL_SIGMAS * deviation_ms {
             format!(
                 "the shutter is global: the readout time was found to be {readout_ms:.2} ± {deviation_ms:.2} ms; --readout-ms 0 or \
-                 readout_time_s in the camera file tells it from the start"
+                 readout_time_s in the camera file gives it from the start"
             )
         } else if !self.is_known() {
             format!(

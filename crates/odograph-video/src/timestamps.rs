@@ -16,7 +16,7 @@ pub(crate) enum Timestamps {
 /// seconds).
 const NANOSECONDS_FROM: f64 = 1e17;
 /// No time is later, nor earlier than this before 1970: thirty thousand years, seconds. Beyond it
-/// frames at a usual rate are not told apart.
+/// frames at a usual rate cannot be distinguished.
 const LATEST_S: f64 = 1e12;
 /// Largest size of a timestamps file, bytes.
 const MAX_BYTES: u64 = 1 << 30;
@@ -149,8 +149,11 @@ mod tests {
     #[test]
     fn absurd_times_are_refused() {
         for (text, line) in [("0\n1e300\n", 2), ("-1e13\n", 1)] {
-            let told = Timestamps::parse(text).unwrap_err().to_string();
-            assert!(told.starts_with(&format!("line {line}: ")) && told.contains("write seconds"), "{told}");
+            let message = Timestamps::parse(text).unwrap_err().to_string();
+            assert!(
+                message.starts_with(&format!("line {line}: ")) && message.contains("write seconds"),
+                "{message}"
+            );
         }
         assert!(Timestamps::parse("1700000000.0 a.png\n").is_ok());
     }

@@ -83,8 +83,8 @@ fn text(file: &str, diagnosis: &Diagnosis, only_bad: bool) -> String {
             "{file}: {description}\n{frames_looked_at}{of_all} frames looked at, spread over {duration_s:.1} s\n"
         ),
     };
-    let told = findings.iter().filter(|finding| !only_bad || finding.judgement != Judgement::Good);
-    head + &told.map(line).collect::<String>()
+    let shown = findings.iter().filter(|finding| !only_bad || finding.judgement != Judgement::Good);
+    head + &shown.map(line).collect::<String>()
 }
 
 fn line(finding: &Finding) -> String {

@@ -32,7 +32,7 @@ Examples:
   odograph info drive.mcap
   odograph info drive.mp4 --camera camera.yaml --json";
 
-/// A recording as `--json` tells it.
+/// A recording as `--json` prints it.
 #[derive(Serialize)]
 struct InfoJson<'a> {
     file: &'a str,

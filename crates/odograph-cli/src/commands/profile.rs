@@ -130,8 +130,9 @@ fn list() -> Result<()> {
     let names = profiles::names()?;
     for name in &names {
         // A damaged profile is listed, too.
-        let told = profiles::read_unchecked(name).map_or_else(|_| "damaged".to_owned(), |one| summary(&one));
-        let _ = writeln!(text, "{name}  {told}");
+        let description =
+            profiles::read_unchecked(name).map_or_else(|_| "damaged".to_owned(), |one| summary(&one));
+        let _ = writeln!(text, "{name}  {description}");
     }
     if names.is_empty() {
         console::note("there are no profiles; odograph profile save makes one");

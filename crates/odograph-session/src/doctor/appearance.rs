@@ -5,7 +5,7 @@ use odograph::geometry::length;
 use odograph::image::{GrayImage, noise_variance};
 use odograph::numerics::median;
 
-/// Every so many of the frames are looked at in full.
+/// One frame in this many is examined in full.
 const EVERY: u64 = 5;
 
 /// Cells along the width and along the height in which corners are counted.

@@ -120,7 +120,7 @@ impl Seen<'_> {
             ),
             GivenLens::Missing => (
                 Judgement::Limits,
-                "none is given; a lens of 64° without distortion is assumed here".to_owned(),
+                "not given; a lens of 64° without distortion is assumed here".to_owned(),
                 Some("give --camera FILE; odograph calibrate makes one"),
             ),
         };

@@ -27,7 +27,7 @@ pub enum GivenLens {
 /// Field of view of an assumed camera: its width over the height, as of 64°.
 const ASSUMED_FIELD: f64 = 1.25;
 
-/// Height of a camera of which none is given, metres. Only distances depend on it.
+/// Assumed height where it is not given, metres. Only distances depend on it.
 const ASSUMED_HEIGHT_M: f64 = 1.0;
 
 /// The run with a camera and a height in any case, and what was given.

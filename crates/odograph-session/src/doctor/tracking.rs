@@ -163,7 +163,7 @@ impl Stretch {
         Ok(estimate)
     }
 
-    /// Ends the stretch: what it tells about the calibration is kept.
+    /// Ends the stretch: its calibration is kept.
     pub fn end(self, into: &mut Tracking) {
         let found = self.found.or_else(|| self.monitor.and_then(|monitor| monitor.at_end()));
         if let Some(found) = found

@@ -29,6 +29,7 @@ pub struct LoopClosureConfig {
     /// Minimum overlap of two keyframes, as a share of the new one's view.
     pub least_overlap: f64,
     /// Minimum share of the corners in the overlap that must be matched.
+    #[serde(alias = "least_presence")]
     pub least_inlier_ratio: f64,
     /// Number of agreeing matches on different ground, 1 or 2, that joins parts of a map whose
     /// relative pose is unknown or ambiguous. 1 is enough to localize a camera; a map that is kept

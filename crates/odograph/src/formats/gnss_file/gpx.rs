@@ -5,7 +5,7 @@ use super::{RANGE_ERROR_M, not_later, place};
 use crate::error::{Error, Result};
 use crate::georeference::GnssFix;
 
-/// Reads the track points. Points without a time are an error: nothing tells where they belong.
+/// Reads the track points. Points without a time are an error: they belong to no frame.
 pub fn parse(text: &str) -> Result<Vec<GnssFix>> {
     let mut fixes: Vec<GnssFix> = Vec::new();
     let (mut rest, mut line) = (text, 1);

@@ -14,7 +14,7 @@ struct Epoch {
     line: usize,
     /// Seconds since midnight.
     time_of_day_s: f64,
-    /// Days since 1970, where a sentence told the date.
+    /// Days since 1970, where a sentence had the date.
     day: Option<i64>,
     place: Option<EarthPosition>,
     altitude_m: Option<f64>,
@@ -143,7 +143,7 @@ fn gst(fields: &[&str], epoch: &mut Epoch) {
     }
 }
 
-/// The positions with their dates: that of the nearest sentence before that tells one, otherwise
+/// The positions with their dates: that of the nearest earlier sentence with one, otherwise
 /// after; midnight begins the next day.
 fn fixes(epochs: &[Epoch]) -> Result<Vec<GnssFix>> {
     let mut day = 0;
