@@ -3,18 +3,18 @@
 use super::level_template::LevelTemplate;
 use super::patch::{AREA, SIDE, Samples, TO_CENTRE, sample};
 use super::template::Template;
-use super::track::PatchSimilarity;
+use super::track;
 use super::{Track, Warp};
 use crate::geometry::Pixel;
 use crate::image::Pyramid;
-use crate::image::simd::{dot, mean_and_energy};
+use crate::image::simd::{dot, plane_and_energy};
 use nalgebra::{Matrix2, SMatrix, SVector, Vector2};
 
 /// Most Gauss–Newton steps; the start is within a pixel of the solution. Not derived; chosen.
 const ITERATIONS: usize = 8;
 
 /// Registers a tracked template against its first appearance under an affine warp (J. Shi and C.
-/// Tomasi, 1994, equation 5) with unknown gain and offset, from `start`. Returns the refined warp
+/// Tomasi, 1994, equation 5) with unknown gain and light, from `start`. Returns the refined warp
 /// and the match. Its interpolation bias is not corrected.
 ///
 /// `None` where the patch leaves the image or is deformed too much to be the same surface.
@@ -32,10 +32,13 @@ pub fn dissimilarity(template: &Template, image: &Pyramid, start: &Warp) -> Opti
         if gain < 0.05 {
             return None;
         }
-        let (mean, _) = mean_and_energy(&samples);
+        let (plane, _) = plane_and_energy(&samples);
+        let by_place = if patch.is_in_uneven_light() { plane.slope } else { [0.0; 2] };
         let mut slope = SVector::<f64, 6>::zeros();
         for (at, &value) in samples.iter().enumerate() {
-            let residual = (f64::from(value) - mean) / gain - f64::from(patch.appearance().contrast[at]);
+            let (x, y) = place(at);
+            let light = plane.mean + by_place[0] * x + by_place[1] * y;
+            let residual = (f64::from(value) - light) / gain - f64::from(patch.appearance().contrast[at]);
             slope += steepest_descent(patch, at) * residual;
         }
         let step = inverse_hessian * slope;
@@ -52,12 +55,12 @@ pub fn dissimilarity(template: &Template, image: &Pyramid, start: &Warp) -> Opti
             break;
         }
     }
-    let PatchSimilarity { dissimilarity, light } =
-        PatchSimilarity::of(patch, dot(&patch.appearance().contrast, &samples), &samples);
+    let product = dot(&patch.appearance().contrast, &samples);
+    let dissimilarity = track::dissimilarity(patch, product, &samples);
     let position = warp.position;
     let noise = template.noise(Vector2::new(position.x, position.y), &warp.linear, dissimilarity);
     let covariance_px2 = noise.covariance(&warp.linear);
-    Some((warp, Track { position, dissimilarity, covariance_px2, light, noise }))
+    Some((warp, Track { position, dissimilarity, covariance_px2, noise }))
 }
 
 /// Steepest-descent image at sample `at`: derivative by the shift (x, y) and the affine terms (xx,
@@ -65,8 +68,13 @@ pub fn dissimilarity(template: &Template, image: &Pyramid, start: &Warp) -> Opti
 fn steepest_descent(patch: &LevelTemplate, at: usize) -> SVector<f64, 6> {
     let (gx, gy) =
         (f64::from(patch.appearance().gradient_x[at]), f64::from(patch.appearance().gradient_y[at]));
-    let (x, y) = ((at % SIDE) as f64 - TO_CENTRE, (at / SIDE) as f64 - TO_CENTRE);
+    let (x, y) = place(at);
     SVector::from([gx, gy, gx * x, gx * y, gy * x, gy * y])
+}
+
+/// Sample `at` relative to the centre of the patch.
+fn place(at: usize) -> (f64, f64) {
+    ((at % SIDE) as f64 - TO_CENTRE, (at / SIDE) as f64 - TO_CENTRE)
 }
 
 fn affine_hessian(patch: &LevelTemplate) -> SMatrix<f64, 6, 6> {

@@ -19,7 +19,7 @@ use super::noise::Noise;
 use super::patch::{AREA, SIDE, TO_CENTRE};
 use super::subpixel_phase::{fraction, phase_coherence};
 use crate::image::GrayImage;
-use crate::image::simd::bend_sums;
+use crate::image::simd::bend_products;
 use nalgebra::{Matrix2, Vector2};
 
 /// Precomputed products of the gradients' differences, which stand for ω² times those of the
@@ -124,16 +124,7 @@ impl InterpolationBias {
 /// Products of second differences along x and y with the gradients of a template.
 fn second_differences(image: &GrayImage, template: &LevelTemplate) -> [Vector2<f64>; 2] {
     let (left, top) = (template.centre.x - TO_CENTRE, template.centre.y - TO_CENTRE);
-    let sums = bend_sums(image, left as usize, top as usize);
-    let removed = &template.removed;
-    [0, 1].map(|axis| {
-        let bend = f64::from(sums.bend[axis]);
-        let contrast = f64::from(sums.sample_bend[axis]) - f64::from(removed.mean) * bend;
-        let whole = Vector2::new(f64::from(sums.x_bend[axis]), f64::from(sums.y_bend[axis])) * 0.5;
-        whole
-            - Vector2::new(f64::from(removed.mean_x), f64::from(removed.mean_y)) * bend
-            - template.contrast_projection * contrast
-    })
+    bend_products(image, left as usize, top as usize, template.appearance()).map(Vector2::from)
 }
 
 /// Mean of φ (1 − φ) over all phases.

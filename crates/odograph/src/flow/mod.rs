@@ -4,8 +4,9 @@
 //! A corner's first appearance is its [`Template`]: patches of the keyframe on every pyramid level.
 //! It is tracked under an affine [`Warp`] from the motion prediction, so that a rotated or scaled
 //! patch is still compared with the keyframe and not with the previous frame: errors do not
-//! accumulate between keyframes. Interpolation bias, noise-induced bias and the biases by curvature
-//! and illumination are corrected; derivation: `docs/math/interpolation-bias.md`.
+//! accumulate between keyframes. Gain and light that changes linearly over a patch are eliminated;
+//! interpolation bias, noise-induced bias and the bias by curvature are corrected. Derivation:
+//! `docs/math/interpolation-bias.md`.
 //!
 //! Sources: B. Lucas and T. Kanade, "An iterative image registration technique", 1981; J.-Y.
 //! Bouguet, "Pyramidal implementation of the Lucas Kanade feature tracker", 2000; S. Baker and I.
@@ -14,9 +15,9 @@
 //! (dissimilarity).
 
 mod affine;
+mod curvature_bias;
 mod interpolation_bias;
 mod level_template;
-mod model_bias;
 mod noise;
 mod patch;
 mod subpixel_phase;
@@ -24,7 +25,6 @@ mod template;
 mod track;
 
 pub use affine::dissimilarity;
-pub use model_bias::ModelBias;
 pub use noise::Noise;
 pub use template::Template;
 pub use track::{SEARCH_RADIUS_PX, Track, TrackFailure, forward_backward_px, track};
@@ -49,7 +49,7 @@ pub struct FlowConfig {
     /// Largest forward–backward error, pixels.
     pub forward_backward_px: f64,
     /// Largest dissimilarity from the first appearance: the root of the fraction of the patch's
-    /// contrast that gain and offset leave unexplained, 0 (identical) to 1 (unrelated).
+    /// contrast that gain and light leave unexplained, 0 (identical) to 1 (unrelated).
     pub dissimilarity: f64,
 }
 

@@ -89,7 +89,8 @@ impl Noise {
     }
 }
 
-fn gradient_noise(variance: f64) -> f64 {
+/// Expected contribution of noise with this variance to the sum of squared gradients.
+pub(super) fn gradient_noise(variance: f64) -> f64 {
     DIFFERENCE_VARIANCE * AREA as f64 * variance
 }
 

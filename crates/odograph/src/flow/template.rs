@@ -1,8 +1,8 @@
 //! The first appearance of a corner, prepared for tracking.
 
+use super::curvature_bias::curvature_bias;
 use super::interpolation_bias::InterpolationBias;
 use super::level_template::LevelTemplate;
-use super::model_bias::ModelBias;
 use super::noise::Noise;
 use crate::geometry::Pixel;
 use crate::image::Pyramid;
@@ -39,7 +39,7 @@ impl Template {
     /// [`Template::new`] with the full image only, until [`Template::add_coarser_levels`].
     pub fn of_finest_level(pyramid: &Pyramid, corner: (usize, usize)) -> Option<Self> {
         let centre = Pixel::new(corner.0 as f64 + 0.5, corner.1 as f64 + 0.5);
-        let finest = LevelTemplate::new(pyramid.base(), centre.x, centre.y)?;
+        let finest = LevelTemplate::new(pyramid, 0, centre)?;
         let moments = moments(finest.appearance(), &finest.removed);
         let interpolation_bias = InterpolationBias::new(pyramid.base(), &finest);
         Some(Self {
@@ -55,12 +55,9 @@ impl Template {
     /// Makes the missing coarser levels, from the pyramid of the keyframe.
     pub fn add_coarser_levels(&self, pyramid: &Pyramid) {
         self.coarser.get_or_init(|| {
-            let mut scale = 1.0;
-            let coarser = pyramid.coarser().iter().map_while(|image| {
-                scale *= 2.0;
-                LevelTemplate::new(image, self.centre.x / scale, self.centre.y / scale)
-            });
-            coarser.collect()
+            (1..=pyramid.coarser().len())
+                .map_while(|level| LevelTemplate::new(pyramid, level, self.centre))
+                .collect()
         });
     }
 
@@ -69,10 +66,15 @@ impl Template {
         self.centre
     }
 
-    /// Bias of a match with this noise by curvature of the warp and by the gradient of the
-    /// illumination.
-    pub fn model_bias(&self, noise: Noise) -> ModelBias<'_> {
-        ModelBias::new(&self.moments, noise)
+    /// Displacement of a match with this noise by the curvature of the warp, pixels; `curvature`
+    /// holds the second derivatives by (x, x), (x, y) and (y, y), pixels per pixel².
+    pub fn curvature_bias(
+        &self,
+        noise: &Noise,
+        linear: &Matrix2<f64>,
+        curvature: &[Vector2<f64>; 3],
+    ) -> Vector2<f64> {
+        curvature_bias(&self.moments, noise, linear, curvature)
     }
 
     /// Interpolation bias and noise-induced bias of a match at `position` in the full image,

@@ -1,5 +1,5 @@
-//! Tracking of a template: pyramidal Lucas–Kanade, inverse compositional, invariant to gain and
-//! offset.
+//! Tracking of a template: pyramidal Lucas–Kanade, inverse compositional, invariant to gain
+//! and to light that changes linearly over a patch.
 
 use super::level_template::LevelTemplate;
 use super::noise::Noise;
@@ -8,7 +8,7 @@ use super::template::Template;
 use super::{FlowConfig, Warp};
 use crate::geometry::Pixel;
 use crate::image::Pyramid;
-use crate::image::simd::mean_and_energy;
+use crate::image::simd::plane_and_energy;
 use nalgebra::{Matrix2, Vector2};
 
 /// A tracked template.
@@ -17,13 +17,10 @@ pub struct Track {
     /// Position of its centre, pixels of the full image, corrected for interpolation bias and
     /// noise-induced bias.
     pub position: Pixel,
-    /// Root of the fraction of its contrast that gain and offset leave unexplained, √(1 − ρ²), 0 to
-    /// 1.
+    /// Root of the fraction of its contrast that gain and light leave unexplained, √(1 − ρ²), 0 to 1.
     pub dissimilarity: f64,
     /// Covariance of the position by image noise, pixels²: large along a straight edge.
     pub covariance_px2: Matrix2<f64>,
-    /// Logarithm of its mean gray level over the template's.
-    pub light: f64,
     /// Noise estimated from the dissimilarity.
     pub noise: Noise,
 }
@@ -44,10 +41,10 @@ pub enum TrackFailure {
 /// linear part of the warp stays as predicted, its position is estimated. The caller decides by the
 /// dissimilarity whether the match is accepted.
 ///
-/// With the gradients of the template orthogonal to constants and to the template itself, the
-/// normal equations of Lucas–Kanade with unknown gain and offset reduce to two products with the
-/// image (the elimination of a linear appearance variation of Baker and Matthews, part 3, done once
-/// per template).
+/// With the gradients of the template orthogonal to planes and to the template itself, the normal
+/// equations of Lucas–Kanade with unknown gain, offset and slopes of the light reduce to two
+/// products with the image (the elimination of a linear appearance variation of Baker and Matthews,
+/// part 3, done once per template). Shadows, lamps, reflections and caustics are such planes.
 pub fn track(
     template: &Template,
     image: &Pyramid,
@@ -56,7 +53,7 @@ pub fn track(
     config: &FlowConfig,
 ) -> Result<Track, TrackFailure> {
     let mut shift = Vector2::zeros(); // pixels of the full image
-    let mut similarity = None;
+    let mut last = None;
     let levels = levels_for(uncertainty_px, template.levels().min(image.levels()));
     for level in (0..levels).rev() {
         let scale = (1usize << level) as f64;
@@ -68,23 +65,23 @@ pub fn track(
         match result {
             Ok((level_shift, there)) => {
                 // A poor match on a coarse level must not mislead the finer ones.
-                if level == 0 || there.dissimilarity < config.dissimilarity {
+                if level == 0 || there < config.dissimilarity {
                     shift = level_shift;
                 }
-                similarity = Some(there);
+                last = Some(there);
             }
             Err(failure) if level == 0 => return Err(failure),
             // On a coarse level the patch covers more of the image and may lie partly outside it.
             Err(_) => {}
         }
     }
-    let PatchSimilarity { dissimilarity, light } = similarity.ok_or(TrackFailure::Outside)?;
+    let dissimilarity = last.ok_or(TrackFailure::Outside)?;
     let linear = &prediction.linear;
     let found = Vector2::new(prediction.position.x, prediction.position.y) + shift;
     let noise = template.noise(found, linear, dissimilarity);
     let place = found - template.bias(found, linear, &noise);
     let position = Pixel::new(place.x, place.y);
-    Ok(Track { position, dissimilarity, covariance_px2: noise.covariance(linear), light, noise })
+    Ok(Track { position, dissimilarity, covariance_px2: noise.covariance(linear), noise })
 }
 
 /// Convergence of coarse levels, pixels of the level. Not derived; chosen.
@@ -106,7 +103,7 @@ fn levels_for(uncertainty_px: f64, available: usize) -> usize {
 }
 
 /// One level of [`track`] for a template around the keyframe point `centre`: the improved shift
-/// (pixels of the full image) and the similarity there.
+/// (pixels of the full image) and the dissimilarity there.
 fn search(
     patch: &LevelTemplate,
     level: usize,
@@ -116,7 +113,7 @@ fn search(
     mut shift: Vector2<f64>,
     iterations: usize,
     step_px: f64,
-) -> Result<(Vector2<f64>, PatchSimilarity), TrackFailure> {
+) -> Result<(Vector2<f64>, f64), TrackFailure> {
     let scale = (1usize << level) as f64;
     // The patch of this level is centred between pixels of its level, slightly off the template's
     // centre.
@@ -155,13 +152,13 @@ fn search(
             if last_step_known && contraction < 0.5 {
                 shift -= step * steps_left;
             }
-            return Ok((shift, PatchSimilarity::of(patch, product, &samples)));
+            return Ok((shift, dissimilarity(patch, product, &samples)));
         }
     }
     if last_step > 25.0 * step_px && last_step > 0.1 * scale {
         return Err(TrackFailure::Diverged);
     }
-    Ok((shift, PatchSimilarity::of(patch, product, &samples)))
+    Ok((shift, dissimilarity(patch, product, &samples)))
 }
 
 /// Lower bound of the gain on coarse levels. Not derived; chosen.
@@ -170,31 +167,17 @@ const MIN_COARSE_GAIN: f64 = 0.5;
 /// Upper bound of the contraction rate. Not derived; chosen.
 const MAX_CONTRACTION: f64 = 0.9;
 
-/// Similarity of a template and its match.
-#[derive(Debug, Clone, Copy)]
-pub(super) struct PatchSimilarity {
-    /// Root of the fraction of the contrast that gain and offset of the template leave unexplained:
-    /// √(1 − ρ²), with ρ the correlation.
-    pub dissimilarity: f64,
-    /// Logarithm of the mean gray level over the template's.
-    pub light: f64,
-}
-
-impl PatchSimilarity {
-    /// `product` is the product of the samples with the template's contrast.
-    pub fn of(patch: &LevelTemplate, product: f64, samples: &Samples) -> Self {
-        let (mean, energy) = mean_and_energy(samples);
-        let light = (mean.max(MIN_BRIGHTNESS) / f64::from(patch.removed.mean).max(MIN_BRIGHTNESS)).ln();
-        if energy < 1e-6 || product <= 0.0 {
-            return Self { dissimilarity: 1.0, light };
-        }
-        let unexplained = 1.0 - (product * product / (energy * patch.contrast_energy));
-        Self { dissimilarity: unexplained.max(0.0).sqrt(), light }
+/// Root of the fraction of the contrast that a gain of the template and a plane of light leave
+/// unexplained: √(1 − ρ²), with ρ the correlation. `product` is that of the samples with the
+/// template's contrast.
+pub(super) fn dissimilarity(patch: &LevelTemplate, product: f64, samples: &Samples) -> f64 {
+    let (plane, energy) = plane_and_energy(samples);
+    let energy = if patch.is_in_uneven_light() { energy } else { energy + plane.sloping().dot(&plane) };
+    if energy < 1e-6 || product <= 0.0 {
+        return 1.0;
     }
+    (1.0 - product * product / (energy * patch.contrast_energy)).max(0.0).sqrt()
 }
-
-/// Lower bound of a mean gray level in the brightness ratio. Not derived; chosen.
-const MIN_BRIGHTNESS: f64 = 1.0;
 
 /// Forward–backward check (Z. Kalal et al., 2010): tracks the patch of `image` at the match back
 /// into the keyframe. Returns its distance from the template's centre, keyframe pixels; `None`
@@ -209,7 +192,7 @@ pub fn forward_backward_px(
     found: &Warp,
     config: &FlowConfig,
 ) -> Option<f64> {
-    let back = LevelTemplate::new(image.base(), found.position.x, found.position.y)?;
+    let back = LevelTemplate::new(image, 0, found.position)?;
     let inverse = found.linear.try_inverse()?;
     // The backward patch lies on pixels, up to half a pixel off the match.
     let offset = back.centre - Vector2::new(found.position.x, found.position.y);

@@ -1,7 +1,7 @@
 //! A keyframe's corner found again in a frame.
 
 use crate::buffer::stored;
-use crate::flow::{Noise, Warp};
+use crate::flow::Warp;
 use nalgebra::Matrix2;
 
 /// A corner found again.
@@ -12,9 +12,6 @@ pub struct FoundCorner {
     pub warp: Warp,
     /// Of the position, from the noise of the samples, pixels².
     pub covariance_px2: Matrix2<f64>,
-    /// Logarithm of its brightness over that of its first appearance.
-    pub light: f64,
-    pub noise: Noise,
 }
 
 stored!(FoundCorner);

@@ -15,7 +15,6 @@ pub(crate) mod keyframe;
 mod keyframe_event;
 mod last_pose;
 pub(crate) mod learned;
-mod light_field;
 mod limits;
 mod loss;
 mod moving_ground;

@@ -1,7 +1,7 @@
 //! Hand-written AVX2 kernels: sampling and decimation, eight samples at a time.
 
 use super::scalar::{self, row_start, rows_about, total};
-use super::{Appearance, BendSums, Grid, PATCH_SIDE, Patch, PatchSums, rows_about_neighbours};
+use super::{Appearance, Grid, PATCH_SIDE, Patch, PatchSums, rows_about_neighbours};
 use crate::image::GrayImage;
 use std::arch::x86_64::*;
 
@@ -324,35 +324,6 @@ pub fn patch_sums(image: &GrayImage, left: usize, top: usize) -> PatchSums {
     let [sample, x, y] = singles.map(|sum| whole_total(_mm256_madd_epi16(sum, one)));
     let [sample_sample, sample_x, sample_y, x_x, x_y, y_y] = products.map(|sum| whole_total(sum));
     PatchSums { sample, x, y, sample_sample, sample_x, sample_y, x_x, x_y, y_y }
-}
-
-/// See [`super::bend_sums`]. Integer addition is exact, so the order is irrelevant.
-#[target_feature(enable = "avx2")]
-pub fn bend_sums(image: &GrayImage, left: usize, top: usize) -> BendSums {
-    let mut singles = [_mm256_setzero_si256(); 2];
-    let mut products = [_mm256_setzero_si256(); 6];
-    let words = |row: &[u8], at: usize| _mm256_cvtepu8_epi16(load_chunk(&row[at..]));
-    for j in 0..PATCH_SIDE {
-        let [above, here, below] = rows_about(image, left, top, j);
-        let [above, below, before, sample, after] =
-            [words(above, 1), words(below, 1), words(here, 0), words(here, 1), words(here, 2)];
-        let (x, y) = (_mm256_sub_epi16(after, before), _mm256_sub_epi16(below, above));
-        let twice = _mm256_add_epi16(sample, sample);
-        let along = _mm256_sub_epi16(_mm256_add_epi16(after, before), twice);
-        let down = _mm256_sub_epi16(_mm256_add_epi16(below, above), twice);
-        for (sum, term) in singles.iter_mut().zip([along, down]) {
-            *sum = _mm256_add_epi16(*sum, term); // at most 16 · 510
-        }
-        let pairs = [(sample, along), (sample, down), (x, along), (x, down), (y, along), (y, down)];
-        for (sum, (a, b)) in products.iter_mut().zip(pairs) {
-            *sum = _mm256_add_epi32(*sum, _mm256_madd_epi16(a, b));
-        }
-    }
-    let one = _mm256_set1_epi16(1);
-    let bend = singles.map(|sum| whole_total(_mm256_madd_epi16(sum, one)));
-    let [sample_along, sample_down, x_along, x_down, y_along, y_down] = products.map(|sum| whole_total(sum));
-    let sample_bend = [sample_along, sample_down];
-    BendSums { bend, sample_bend, x_bend: [x_along, x_down], y_bend: [y_along, y_down] }
 }
 
 /// Sum of eight integers.

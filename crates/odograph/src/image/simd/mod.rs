@@ -248,8 +248,56 @@ widened! {
 }
 
 widened! {
-    /// The mean of a patch and the sum of the squared deviations from it.
-    neon::mean_and_energy(samples: &Patch) -> (f64, f64)
+    /// The plane that fits a patch best, and the sum of the squared deviations from it.
+    plane_and_energy(samples: &Patch) -> (Plane, f64)
+}
+
+/// Gray levels that change linearly over a patch: uneven illumination.
+#[derive(Debug, Clone, Copy, PartialEq, Default)]
+pub struct Plane {
+    /// At the centre, gray levels.
+    pub mean: f64,
+    /// Growth along x and y, gray levels per sample.
+    pub slope: [f64; 2],
+}
+
+/// Sum of the squared distances of a patch's samples from its centre along one axis.
+pub const SQUARED_DISTANCES: f64 = (AREA * (PATCH_SIDE * PATCH_SIDE - 1)) as f64 / 12.0;
+
+const AREA: usize = PATCH_SIDE * PATCH_SIDE;
+
+impl Plane {
+    /// The plane with least squared distances from samples with these sums: their own, and weighted
+    /// with the coordinates x and y.
+    pub fn of_sums(sum: f64, weighted: [f64; 2]) -> Self {
+        Self { mean: sum / AREA as f64, slope: weighted.map(|sum| sum / SQUARED_DISTANCES) }
+    }
+
+    /// The same without its mean.
+    pub fn sloping(&self) -> Self {
+        Self { mean: 0.0, ..*self }
+    }
+
+    /// Its scalar product with another.
+    pub fn dot(&self, other: &Self) -> f64 {
+        let [[x, y], [other_x, other_y]] = [self.slope, other.slope];
+        AREA as f64 * self.mean * other.mean + SQUARED_DISTANCES * (x * other_x + y * other_y)
+    }
+}
+
+/// Sums over a patch of the samples, and of their central differences along x and y in half gray
+/// levels per pixel, each weighted with twice the coordinates x and y from the centre.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub struct WeightedSums {
+    pub sample: [i32; 2],
+    pub x: [i32; 2],
+    pub y: [i32; 2],
+}
+
+widened! {
+    /// The weighted sums over the patch whose first sample is (`left`, `top`). Reads a border of
+    /// one sample around the patch; panics where that is outside the image.
+    weighted_sums(image: &GrayImage, left: usize, top: usize) -> WeightedSums
 }
 
 /// Sums over a patch of the samples, of their central differences along x and y in half gray levels
@@ -267,15 +315,14 @@ pub struct PatchSums {
     pub y_y: i32,
 }
 
-/// Coefficients that make a template orthogonal to constants and its gradients to the contrast: the
-/// means of samples and gradients, and then the projections of the gradients onto the contrast.
+/// What makes a template and its gradients orthogonal to planes, and its gradients to its contrast:
+/// the planes of samples and gradients, and then the projections of the gradients onto the contrast.
 #[derive(Debug, Clone, Copy)]
 pub struct Orthogonal {
-    pub mean: f32,
-    pub mean_x: f32,
-    pub mean_y: f32,
-    pub share_x: f32,
-    pub share_y: f32,
+    /// Of the samples and of the gradients along x and y.
+    pub planes: [Plane; 3],
+    /// Of the gradients along x and y.
+    pub shares: [f64; 2],
 }
 
 /// The sums over the patch whose first sample is (`left`, `top`). Reads a border of one sample
@@ -294,26 +341,11 @@ pub fn patch_sums(image: &GrayImage, left: usize, top: usize) -> PatchSums {
     scalar::patch_sums(image, left, top)
 }
 
-/// Sums over a patch of the second differences along x and along y (in this order in each pair),
-/// and of their products with the samples and with the central differences along x and y in half
-/// gray levels per pixel.
-#[derive(Debug, Clone, Copy, PartialEq, Eq)]
-pub struct BendSums {
-    pub bend: [i32; 2],
-    pub sample_bend: [i32; 2],
-    pub x_bend: [i32; 2],
-    pub y_bend: [i32; 2],
-}
-
-/// The sums over the patch whose first sample is (`left`, `top`). Reads a border of one sample
-/// around the patch; panics where that is outside the image.
-pub fn bend_sums(image: &GrayImage, left: usize, top: usize) -> BendSums {
-    #[cfg(target_arch = "x86_64")]
-    if is_x86_feature_detected!("avx2") {
-        // SAFETY: the processor has AVX2.
-        return unsafe { avx2::bend_sums(image, left, top) };
-    }
-    scalar::bend_sums(image, left, top)
+widened! {
+    /// Products of the second differences along x and along y of the patch whose first sample is
+    /// (`left`, `top`) with the gradients of its template: along x with both gradients, then along
+    /// y. Reads a border of one sample around the patch; panics where that is outside the image.
+    bend_products(image: &GrayImage, left: usize, top: usize, appearance: &Appearance) -> [[f64; 2]; 2]
 }
 
 widened! {
@@ -323,16 +355,10 @@ widened! {
     write_appearance(image: &GrayImage, left: usize, top: usize, less: &Orthogonal, appearance: &mut Appearance)
 }
 
-/// Spatial moments of a patch, which determine its response to displacement and illumination that
-/// vary over the patch. (x, y) is the position of a sample relative to the centre, (g, h) its
-/// orthogonalised gradient and (p, q) its raw gradient.
-#[derive(Debug, Clone, Copy, PartialEq, Default)]
-pub struct Moments {
-    /// Sums of g p, g q, h p and h q, each times x x, x y and y y.
-    pub squares: [[f64; 3]; 4],
-    /// Sums of g and h times the gray level, each times x and y.
-    pub light: [[f64; 2]; 2],
-}
+/// Spatial moments of a patch, which determine its response to displacement that varies over the
+/// patch: sums of g p, g q, h p and h q, each times x x, x y and y y. (x, y) is the position of a
+/// sample relative to the centre, (g, h) its orthogonalised gradient and (p, q) its raw gradient.
+pub type Moments = [[f64; 3]; 4];
 
 widened! {
     /// The moments of a template that was orthogonalised by `less`.

@@ -293,30 +293,6 @@ pub fn dot(a: &Patch, b: &Patch) -> f64 {
     total_of(sums)
 }
 
-/// See [`super::mean_and_energy`].
-#[target_feature(enable = "neon")]
-pub fn mean_and_energy(samples: &Patch) -> (f64, f64) {
-    let rows = samples.as_chunks().0;
-    let mut sums = [vdupq_n_f32(0.0); 4];
-    for row in rows {
-        let row = load(row);
-        for i in 0..4 {
-            sums[i] = vaddq_f32(sums[i], row[i]);
-        }
-    }
-    let mean = total_of(sums) / samples.len() as f64;
-    let middle = vdupq_n_f32(mean as f32);
-    let mut sums = [vdupq_n_f32(0.0); 4];
-    for row in rows {
-        let row = load(row);
-        for i in 0..4 {
-            let difference = vsubq_f32(row[i], middle);
-            sums[i] = vaddq_f32(sums[i], vmulq_f32(difference, difference));
-        }
-    }
-    (mean, total_of(sums))
-}
-
 /// Total of the partial sums; see [`total`].
 #[inline]
 #[target_feature(enable = "neon")]

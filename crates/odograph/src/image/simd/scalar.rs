@@ -2,7 +2,9 @@
 //!
 //! `inline(always)`, so that the copies compiled for wider registers contain these bodies.
 
-use super::{Appearance, BendSums, Grid, Moments, Orthogonal, PATCH_SIDE, Patch, PatchSums, Shift};
+use super::{
+    Appearance, Grid, Moments, Orthogonal, PATCH_SIDE, Patch, PatchSums, Plane, Shift, WeightedSums,
+};
 use crate::image::GrayImage;
 
 /// Number of partial sums of a product. It is part of the definition, since it fixes the order of
@@ -133,28 +135,28 @@ pub fn dot(a: &Patch, b: &Patch) -> f64 {
 }
 
 #[inline(always)]
-fn mean(samples: &Patch) -> f64 {
+pub fn plane_and_energy(samples: &Patch) -> (Plane, f64) {
+    let rows = samples.as_chunks::<SUMS>().0;
     let mut sums = [0.0f32; SUMS];
-    for row in samples.as_chunks::<SUMS>().0 {
+    for row in rows {
         for i in 0..SUMS {
             sums[i] += row[i];
         }
     }
-    total(sums) / samples.len() as f64
-}
-
-#[inline(always)]
-pub fn mean_and_energy(samples: &Patch) -> (f64, f64) {
-    let mean = mean(samples);
+    let mean = total(sums) / samples.len() as f64;
     let middle = mean as f32;
-    let mut sums = [0.0f32; SUMS];
-    for row in samples.as_chunks::<SUMS>().0 {
+    let [mut columns, mut down, mut squares] = [[0.0f32; SUMS]; 3];
+    for (j, row) in rows.iter().enumerate() {
+        let place = PLACES[1][j];
         for i in 0..SUMS {
             let difference = row[i] - middle;
-            sums[i] += difference * difference;
+            columns[i] += difference;
+            down[i] += place * difference;
+            squares[i] += difference * difference;
         }
     }
-    (mean, total(sums))
+    let plane = Plane::of_sums(0.0, [sum_along(&columns, 1), total(down)]);
+    (Plane { mean, ..plane }, total(squares) - plane.dot(&plane))
 }
 
 /// The image rows around row `j` of the patch whose first sample is (`left`, `top`), with one more
@@ -196,42 +198,58 @@ pub fn patch_sums(image: &GrayImage, left: usize, top: usize) -> PatchSums {
 }
 
 #[inline(always)]
-pub fn bend_sums(image: &GrayImage, left: usize, top: usize) -> BendSums {
+pub fn weighted_sums(image: &GrayImage, left: usize, top: usize) -> WeightedSums {
     // Partial sums, one per column. Integer addition is exact, so the order is irrelevant.
-    let mut singles = [[0i16; PATCH_SIDE]; 2];
-    let mut products = [[0i32; PATCH_SIDE]; 6];
+    let mut columns = [[0i16; PATCH_SIDE]; 3];
+    let mut down = [[0i32; PATCH_SIDE]; 3];
     for j in 0..PATCH_SIDE {
         let [above, here, below] = rows_about(image, left, top, j);
-        let [mut sample, mut x, mut y, mut along, mut down] = [[0i16; PATCH_SIDE]; 5];
+        let [mut sample, mut x, mut y] = [[0i16; PATCH_SIDE]; 3];
         for i in 0..PATCH_SIDE {
-            let [before, after] = [i16::from(here[i]), i16::from(here[i + 2])];
-            let [higher, lower] = [i16::from(above[i + 1]), i16::from(below[i + 1])];
             sample[i] = i16::from(here[i + 1]);
-            (x[i], y[i]) = (after - before, lower - higher);
-            (along[i], down[i]) = (before + after - 2 * sample[i], higher + lower - 2 * sample[i]);
+            x[i] = i16::from(here[i + 2]) - i16::from(here[i]);
+            y[i] = i16::from(below[i + 1]) - i16::from(above[i + 1]);
         }
-        for (sums, terms) in singles.iter_mut().zip([&along, &down]) {
+        let place = twice_from_centre(j);
+        for ((columns, down), terms) in columns.iter_mut().zip(&mut down).zip([&sample, &x, &y]) {
             for i in 0..PATCH_SIDE {
-                sums[i] += terms[i];
-            }
-        }
-        let pairs =
-            [(&sample, &along), (&sample, &down), (&x, &along), (&x, &down), (&y, &along), (&y, &down)];
-        for (sums, (a, b)) in products.iter_mut().zip(pairs) {
-            for i in 0..PATCH_SIDE {
-                sums[i] += i32::from(a[i]) * i32::from(b[i]);
+                columns[i] += terms[i];
+                down[i] += i32::from(place * terms[i]);
             }
         }
     }
-    let bend = singles.map(|sums| sums.iter().map(|&sum| i32::from(sum)).sum());
-    let [sample_along, sample_down, x_along, x_down, y_along, y_down] =
-        products.map(|sums| sums.iter().sum());
-    BendSums {
-        bend,
-        sample_bend: [sample_along, sample_down],
-        x_bend: [x_along, x_down],
-        y_bend: [y_along, y_down],
+    let across = columns.map(|sums| {
+        (0..PATCH_SIDE).map(|i| i32::from(twice_from_centre(i)) * i32::from(sums[i])).sum::<i32>()
+    });
+    let down = down.map(|sums| sums.iter().sum::<i32>());
+    WeightedSums { sample: [across[0], down[0]], x: [across[1], down[1]], y: [across[2], down[2]] }
+}
+
+/// Twice the coordinate of a row or column relative to the centre of a patch.
+#[inline(always)]
+fn twice_from_centre(index: usize) -> i16 {
+    2 * index as i16 - (PATCH_SIDE as i16 - 1)
+}
+
+#[inline(always)]
+pub fn bend_products(image: &GrayImage, left: usize, top: usize, appearance: &Appearance) -> [[f64; 2]; 2] {
+    let mut sums = [[[0.0f32; PATCH_SIDE]; 2]; 2];
+    let gradients_x = appearance.gradient_x.as_chunks::<PATCH_SIDE>().0;
+    let gradients_y = appearance.gradient_y.as_chunks::<PATCH_SIDE>().0;
+    for j in 0..PATCH_SIDE {
+        let [above, here, below] = rows_about(image, left, top, j);
+        for i in 0..PATCH_SIDE {
+            let twice = 2 * i16::from(here[i + 1]);
+            let along = f32::from(i16::from(here[i]) + i16::from(here[i + 2]) - twice);
+            let down = f32::from(i16::from(above[i + 1]) + i16::from(below[i + 1]) - twice);
+            let (x, y) = (gradients_x[j][i], gradients_y[j][i]);
+            sums[0][0][i] += along * x;
+            sums[0][1][i] += along * y;
+            sums[1][0][i] += down * x;
+            sums[1][1][i] += down * y;
+        }
     }
+    sums.map(|axis| axis.map(total))
 }
 
 #[inline(always)]
@@ -245,56 +263,73 @@ pub fn write_appearance(
     let Appearance { contrast, gradient_x, gradient_y } = appearance;
     let [contrast, gradient_x, gradient_y] =
         [contrast, gradient_x, gradient_y].map(|patch| patch.as_chunks_mut::<PATCH_SIDE>().0);
+    let planes = less.planes.each_ref().map(PlaneRows::of);
+    let [share_x, share_y] = less.shares.map(|share| share as f32);
     for j in 0..PATCH_SIDE {
         let [above, here, below] = rows_about(image, left, top, j);
         let (contrast, gradient_x, gradient_y) = (&mut contrast[j], &mut gradient_x[j], &mut gradient_y[j]);
+        let [plane, plane_x, plane_y] = planes.each_ref().map(|plane| plane.row(j));
         for i in 0..PATCH_SIDE {
-            let value = f32::from(here[i + 1]) - less.mean;
+            let value = f32::from(here[i + 1]) - plane[i];
             let x = 0.5 * (f32::from(here[i + 2]) - f32::from(here[i]));
             let y = 0.5 * (f32::from(below[i + 1]) - f32::from(above[i + 1]));
             contrast[i] = value;
-            gradient_x[i] = x - less.mean_x - less.share_x * value;
-            gradient_y[i] = y - less.mean_y - less.share_y * value;
+            gradient_x[i] = x - plane_x[i] - share_x * value;
+            gradient_y[i] = y - plane_y[i] - share_y * value;
         }
+    }
+}
+
+/// A plane as the values of its middle row and the growth from row to row.
+struct PlaneRows {
+    middle: Columns,
+    down: f32,
+}
+
+impl PlaneRows {
+    #[inline(always)]
+    fn of(plane: &Plane) -> Self {
+        let (mean, across) = (plane.mean as f32, plane.slope[0] as f32);
+        Self { middle: std::array::from_fn(|i| mean + across * PLACES[1][i]), down: plane.slope[1] as f32 }
+    }
+
+    #[inline(always)]
+    fn row(&self, j: usize) -> Columns {
+        let more = self.down * PLACES[1][j];
+        std::array::from_fn(|i| self.middle[i] + more)
     }
 }
 
 #[inline(always)]
 pub fn moments(appearance: &Appearance, less: &Orthogonal) -> Moments {
     let Appearance { contrast, gradient_x, gradient_y } = appearance;
-    let whole = |gradient: &Patch, share: f32, mean: f32| -> Patch {
-        let mut whole = *gradient;
-        for (whole, contrast) in whole.iter_mut().zip(contrast) {
-            *whole += share * contrast + mean;
+    // What was removed is added again.
+    let whole = |of: &Patch, share: f64, plane: &Plane| -> Patch {
+        let (mut whole, share, plane) = (*of, share as f32, PlaneRows::of(plane));
+        let rows = whole.as_chunks_mut::<PATCH_SIDE>().0.iter_mut().zip(contrast.as_chunks::<PATCH_SIDE>().0);
+        for (j, (whole, contrast)) in rows.enumerate() {
+            let plane = plane.row(j);
+            for i in 0..PATCH_SIDE {
+                whole[i] += share * contrast[i] + plane[i];
+            }
         }
         whole
     };
-    let whole_x = whole(gradient_x, less.share_x, less.mean_x);
-    let whole_y = whole(gradient_y, less.share_y, less.mean_y);
-    Moments {
-        squares: [
-            second_moments(sums_down(gradient_x, &whole_x, 0.0)),
-            second_moments(sums_down(gradient_x, &whole_y, 0.0)),
-            second_moments(sums_down(gradient_y, &whole_x, 0.0)),
-            second_moments(sums_down(gradient_y, &whole_y, 0.0)),
-        ],
-        light: [
-            first_moments(sums_down(gradient_x, contrast, less.mean)),
-            first_moments(sums_down(gradient_y, contrast, less.mean)),
-        ],
-    }
+    let Orthogonal { planes: [_, plane_x, plane_y], shares: [share_x, share_y] } = less;
+    let whole_x = whole(gradient_x, *share_x, plane_x);
+    let whole_y = whole(gradient_y, *share_y, plane_y);
+    [
+        second_moments(sums_down(gradient_x, &whole_x)),
+        second_moments(sums_down(gradient_x, &whole_y)),
+        second_moments(sums_down(gradient_y, &whole_x)),
+        second_moments(sums_down(gradient_y, &whole_y)),
+    ]
 }
 
 /// Moments of x x, x y and y y.
 #[inline(always)]
 fn second_moments([ones, lower, lowest]: [Columns; 3]) -> [f64; 3] {
     [sum_along(&ones, 2), sum_along(&lower, 1), sum_along(&lowest, 0)]
-}
-
-/// Moments of x and y.
-#[inline(always)]
-fn first_moments([ones, lower, _]: [Columns; 3]) -> [f64; 2] {
-    [sum_along(&ones, 1), sum_along(&lower, 0)]
 }
 
 /// Sum of the columns, weighted with a power of their x coordinate.
@@ -322,15 +357,15 @@ const PLACES: [Columns; 3] = {
     places
 };
 
-/// Per column: sums of a (b + more), weighted with the powers 0, 1 and 2 of the row's coordinate.
+/// Per column: sums of a b, weighted with the powers 0, 1 and 2 of the row's coordinate.
 #[inline(always)]
-fn sums_down(a: &Patch, b: &Patch, more: f32) -> [Columns; 3] {
+fn sums_down(a: &Patch, b: &Patch) -> [Columns; 3] {
     let [mut ones, mut lower, mut lowest] = [[0.0; PATCH_SIDE]; 3];
     let rows = a.chunks_exact(PATCH_SIDE).zip(b.chunks_exact(PATCH_SIDE));
     for (j, (a, b)) in rows.enumerate() {
         let (down, squared) = (PLACES[1][j], PLACES[2][j]);
         for i in 0..PATCH_SIDE {
-            let product = a[i] * (b[i] + more);
+            let product = a[i] * b[i];
             ones[i] += product;
             lower[i] += down * product;
             lowest[i] += squared * product;

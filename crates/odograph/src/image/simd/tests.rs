@@ -29,6 +29,12 @@ fn appearance(seed: u32) -> Appearance {
     }
 }
 
+fn orthogonal() -> Orthogonal {
+    let plane = |mean, x, y| Plane { mean, slope: [x, y] };
+    let planes = [plane(97.3, 0.4, -1.2), plane(0.7, 0.02, 0.1), plane(-1.3, -0.07, 0.03)];
+    Orthogonal { planes, shares: [0.02, -0.01] }
+}
+
 /// A grid of any orientation inside the image; moved to the nearest border where `touching`.
 fn grid(width: usize, height: usize, linear: [f64; 4], place: [f64; 2], touching: bool) -> Option<Grid> {
     let [xx, xy, yx, yy] = linear;
@@ -129,8 +135,8 @@ proptest! {
     fn sums_over_patches_are_those_of_the_reference(seed in any::<u32>()) {
         let (a, b) = (random_patch(seed), random_patch(seed ^ 1));
         prop_assert_eq!(dot(&a, &b), scalar::dot(&a, &b));
-        prop_assert_eq!(mean_and_energy(&a), scalar::mean_and_energy(&a));
-        let less = Orthogonal { mean: 97.3, mean_x: 0.7, mean_y: -1.3, share_x: 0.02, share_y: -0.01 };
+        prop_assert_eq!(plane_and_energy(&a), scalar::plane_and_energy(&a));
+        let less = orthogonal();
         prop_assert_eq!(moments(&appearance(seed), &less), scalar::moments(&appearance(seed), &less));
     }
 
@@ -196,8 +202,8 @@ proptest! {
     fn appearances_are_those_of_the_reference(left in 1usize..10, top in 1usize..10, seed in any::<u32>()) {
         let image = random_image(28, 28, seed);
         prop_assert_eq!(patch_sums(&image, left, top), scalar::patch_sums(&image, left, top));
-        prop_assert_eq!(bend_sums(&image, left, top), scalar::bend_sums(&image, left, top));
-        let less = Orthogonal { mean: 120.3, mean_x: 0.7, mean_y: -1.1, share_x: 0.013, share_y: -0.2 };
+        prop_assert_eq!(weighted_sums(&image, left, top), scalar::weighted_sums(&image, left, top));
+        let less = orthogonal();
         let (mut found, mut expected) = (Appearance::ZERO, Appearance::ZERO);
         write_appearance(&image, left, top, &less, &mut found);
         scalar::write_appearance(&image, left, top, &less, &mut expected);
@@ -213,7 +219,7 @@ fn sums_over_black_and_white_match_the_reference() {
         let white = |i: usize| if (i % 30 / period).is_multiple_of(2) { 255 } else { 0 };
         let image = GrayImage::from_samples(30, 30, (0..900).map(white).collect()).unwrap();
         assert_eq!(patch_sums(&image, 5, 6), scalar::patch_sums(&image, 5, 6));
-        assert_eq!(bend_sums(&image, 5, 6), scalar::bend_sums(&image, 5, 6));
+        assert_eq!(weighted_sums(&image, 5, 6), scalar::weighted_sums(&image, 5, 6));
     }
 }
 

@@ -2,13 +2,10 @@
 
 use super::super::found_corner::FoundCorner;
 use super::super::keyframe::Keyframe;
-use super::super::light_field::LightField;
 use crate::buffer::Buffer;
 use crate::camera::Camera;
-use crate::flow::Warp;
-use crate::geometry::{GroundPose, Pixel};
+use crate::geometry::GroundPose;
 use crate::motion::{Correspondence, Elevation, Observation, RollingShutter, ShutterPrior, whitened};
-use nalgebra::Vector2;
 
 /// The corners found, each whitened by the covariance of its patch. Pixels of a rolling shutter are
 /// corrected to where a global one would have seen them from `pose`.
@@ -20,15 +17,9 @@ pub(super) fn observations(
     shutter: Option<(&ShutterPrior, &RollingShutter)>,
     relief_m2: f64,
 ) -> Buffer<Observation> {
-    let light = LightField::between(found);
     let correspondence = |found: &FoundCorner| {
         let corner = &keyframe.corners[found.corner];
-        let Warp { position, linear } = &found.warp;
-        let bias_px = light.as_ref().map_or_else(Vector2::zeros, |light| {
-            corner.template.model_bias(found.noise).by_illumination(linear, light.slope(*position))
-        });
-        let pixel = Pixel::new(position.x - bias_px.x, position.y - bias_px.y);
-        let (mut ground, mut pixel, mut row_fraction) = (corner.patch.ground, pixel, 0.0);
+        let (mut ground, mut pixel, mut row_fraction) = (corner.patch.ground, found.warp.position, 0.0);
         let [x_by_readout, y_by_readout] = corner.patch.by_readout;
         if let Some((prior, shutter)) = shutter {
             let later_s = prior.readout.mean_s - keyframe.shutter.readout_s;

@@ -153,10 +153,10 @@ fn find(
         }
         Ok(_) | Err(_) => return None,
     };
-    let bend = corner.template.model_bias(found.noise).by_curvature(&warp.linear, &curvature);
+    let bend = corner.template.curvature_bias(&found.noise, &warp.linear, &curvature);
     let position = Pixel::new(warp.position.x - bend.x, warp.position.y - bend.y);
-    let Track { covariance_px2, light, noise, .. } = found;
-    Some(FoundCorner { corner: index, warp: Warp { position, ..warp }, covariance_px2, light, noise })
+    let covariance_px2 = found.covariance_px2;
+    Some(FoundCorner { corner: index, warp: Warp { position, ..warp }, covariance_px2 })
 }
 
 /// Searches for each corner where it was last seen; its shape is that of the affine comparison with
@@ -172,13 +172,11 @@ pub(super) fn search_where_last_seen(
         let Track { position, .. } =
             track(&corner.template, pyramid, &corner.seen, off_px, &config.flow).ok()?;
         let (warp, judged) = dissimilarity(&corner.template, pyramid, &Warp { position, ..corner.seen })?;
-        let Track { dissimilarity, covariance_px2, light, noise, .. } = judged;
+        let Track { dissimilarity, covariance_px2, .. } = judged;
         (dissimilarity <= config.flow.dissimilarity).then_some(FoundCorner {
             corner: index,
             warp,
             covariance_px2,
-            light,
-            noise,
         })
     };
     keyframe.corners.iter().enumerate().filter_map(search).collect()
