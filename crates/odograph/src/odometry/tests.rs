@@ -405,7 +405,7 @@ fn a_loss_says_its_cause() {
     let apart = |world: &World, i: u64| {
         squares(|square| {
             let (right, down) = ((square * 5 % 7) as f64 - 3.0, (square * 3 % 5) as f64 - 2.0);
-            world.image(at(0.02 * i as f64 + 0.005 * down, 0.005 * right, 0.0), i)
+            world.image(at(0.02 * i as f64 + 0.004 * down, 0.004 * right, 0.0), i)
         })
     };
     assert_eq!(cause(apart), lost(LossReason::NotPlanar));
