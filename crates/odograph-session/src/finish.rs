@@ -101,6 +101,10 @@ struct Improved {
     loops: LoopStatistics,
 }
 
+/// What a person is told about interlaced video.
+const INTERLACED: &str = "the video is interlaced: even and odd rows of a frame are of different times, and the even ones \
+                          alone are used; a camera set to progressive video gives twice as many rows";
+
 impl Improved {
     /// Gives the final frames as poses of `of` to the observer.
     fn observe(&mut self, tracked: &mut Tracked, of: &PoseFrames, observer: &dyn Observer) -> Result<()> {
@@ -173,6 +177,8 @@ impl Finishing<'_> {
         self.warn(bends);
         let reads = self.tracked.readout.as_ref().and_then(FoundReadout::sentence);
         self.warn(reads);
+        let combed = self.tracked.interlaced.then(|| INTERLACED.to_owned());
+        self.warn(combed);
         Ok(())
     }
 
@@ -493,6 +499,7 @@ fn statistics_of(
         mount: tracked.mount,
         lens: tracked.lens.clone(),
         readout: tracked.readout,
+        interlaced: tracked.interlaced,
         fixed_in_image: tracked.fixed.clone(),
         interrupted: tracked.interrupted,
         frames_announced: tracked.announced.filter(|_| tracked.interrupted),

@@ -52,6 +52,8 @@ pub struct Tracked {
     pub lens: Option<FoundLens>,
     /// The readout time of the image.
     pub readout: Option<FoundReadout>,
+    /// Whether the video was found to be interlaced.
+    pub interlaced: bool,
 }
 
 /// How the pipeline ended.
@@ -131,6 +133,7 @@ pub fn track(
     let interrupted = observer.is_stop_asked() && announced != Some(tracking.frames.count() as u64);
     Ok(Ended::Tracked(Box::new(Tracked {
         readout: FoundReadout::of(&plan.camera, &tracking.odometry),
+        interlaced: tracking.odometry.is_interlaced(),
         keyframes: tracking.odometry.keyframes(),
         fixed: FixedInImage::of(&tracking.odometry),
         frames: tracking.frames,

@@ -47,6 +47,9 @@ pub struct RunStatistics {
     /// The readout time of the image, and whether it was given or learned; left out where neither.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub readout: Option<FoundReadout>,
+    /// Whether the video is interlaced; left out where it is not.
+    #[serde(skip_serializing_if = "std::ops::Not::not")]
+    pub interlaced: bool,
     /// Mask of what is static in the image.
     pub fixed_in_image: FixedInImage,
     /// Whether the run was ended early by a signal.

@@ -101,6 +101,7 @@ pub fn follow(
     let found = following.calibration.as_ref().and_then(OnlineCalibration::found);
     let tracked = Tracked {
         readout: FoundReadout::of(&plan.camera, &following.odometry),
+        interlaced: following.odometry.is_interlaced(),
         keyframes: following.odometry.keyframes(),
         fixed: FixedInImage::of(&following.odometry),
         frames: following.frames,

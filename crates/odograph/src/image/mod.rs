@@ -3,10 +3,12 @@
 //! Integer coordinates are pixel centres: (0, 0) is the centre of the top left pixel; `x` points
 //! right, `y` down.
 
+mod interlacing;
 mod noise;
 mod pyramid;
 pub(crate) mod simd;
 
+pub use interlacing::{Interlacing, even_field};
 pub use noise::noise_variance;
 pub use pyramid::Pyramid;
 

@@ -32,7 +32,7 @@ use crate::error::{Error, Result};
 use crate::filter::ConstantAcceleration;
 use crate::fixed_pattern::{FixedPattern, ImageMask, SinceLast};
 use crate::geometry::{GroundPose, Pixel};
-use crate::image::{GrayImage, Pyramid};
+use crate::image::{GrayImage, Interlacing, Pyramid, even_field};
 use crate::motion::{MotionEstimate, MotionModel, PoseRates, Random, Readout};
 use crate::trajectory::{FrameEstimate, LossReason, PlaneMeasurement, PoseEstimate, TrackStatus};
 use candidate::SegmentCandidate;
@@ -75,6 +75,7 @@ pub struct Odometry {
     /// What of the image does not move with the ground.
     fixed: FixedPattern,
     standing: Standing,
+    interlacing: Interlacing,
     /// So many frames before this one were lost.
     lost_frames: usize,
     /// Number of repeated images before this frame.
@@ -137,6 +138,7 @@ impl Odometry {
             candidate: None,
             fixed,
             standing: Standing::default(),
+            interlacing: Interlacing::default(),
             lost_frames: 0,
             repeated: 0,
             frames: 0,
@@ -194,6 +196,7 @@ impl Odometry {
     /// If the image has another size than the calibration, or the time is not a number.
     pub fn process(&mut self, image: GrayImage, time_s: f64) -> Result<FrameEstimate> {
         self.check_input(&image, time_s)?;
+        let image = if self.interlacing.look(&image) { even_field(image) } else { image };
         self.check_readout(time_s)?;
         if self.is_repeated(&image)
             && let Some(frame) = self.repeat(time_s)
@@ -247,6 +250,11 @@ impl Odometry {
     /// Whether the readout time has mattered so far: the camera has moved by some heights.
     pub fn readout_matters(&self) -> bool {
         self.learned.shutter().is_some_and(|state| state.has_moved())
+    }
+
+    /// Whether the recording was found to be interlaced: of each image, the even rows are used.
+    pub fn is_interlaced(&self) -> bool {
+        self.interlacing.is_found()
     }
 
     /// How many keyframes were made.

@@ -1,0 +1,100 @@
+//! Interlaced video: even and odd rows of an image are of different times.
+
+use super::GrayImage;
+
+/// Finds out from the images themselves whether a recording is interlaced.
+///
+/// In an image of one time, rows next to each other are more alike than rows two apart; noise makes
+/// both alike. Where the camera moves, an interlaced image is the other way round.
+#[derive(Debug, Clone, Default)]
+pub struct Interlacing {
+    combed: u32,
+}
+
+/// Ratio of the squared differences between rows next to each other and two apart from which an
+/// image is combed. Of one time it is 0.3 to 0.7 on rendered grounds and 1 in noise alone;
+/// interlaced asphalt has 2.5 where the camera moves.
+const COMBED: f64 = 1.3;
+
+/// Combed images in a row from which a recording is interlaced.
+const SURE: u32 = 2;
+
+/// Every so many rows are compared.
+const EVERY: usize = 8;
+
+impl Interlacing {
+    /// Whether the recording is interlaced, as its images up to this one show.
+    pub fn look(&mut self, image: &GrayImage) -> bool {
+        if !self.is_found() {
+            self.combed = if is_combed(image) { self.combed + 1 } else { 0 };
+        }
+        self.is_found()
+    }
+
+    /// Whether the recording has been found to be interlaced.
+    pub fn is_found(&self) -> bool {
+        self.combed >= SURE
+    }
+}
+
+fn is_combed(image: &GrayImage) -> bool {
+    let difference = |a: &[u8], b: &[u8]| -> u64 {
+        a.iter().zip(b).map(|(&a, &b)| (i32::from(a) - i32::from(b)).pow(2) as u64).sum()
+    };
+    let (mut next, mut second) = (0, 0);
+    for y in (0..image.height().saturating_sub(2)).step_by(EVERY) {
+        next += difference(image.row(y), image.row(y + 1));
+        second += difference(image.row(y), image.row(y + 2));
+    }
+    next as f64 > COMBED * second as f64
+}
+
+/// The image of the time of the even rows: odd rows are the mean of their neighbours.
+pub fn even_field(mut image: GrayImage) -> GrayImage {
+    let width = image.width();
+    for y in (1..image.height()).step_by(2) {
+        let (before, rest) = image.samples_mut().split_at_mut(y * width);
+        let (row, after) = rest.split_at_mut(width);
+        let above = &before[(y - 1) * width..];
+        let below = after.get(..width).unwrap_or(above);
+        for ((sample, &a), &b) in row.iter_mut().zip(above).zip(below) {
+            *sample = u16::from(a).midpoint(u16::from(b) + 1) as u8;
+        }
+    }
+    image
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn picture(shift_px: impl Fn(usize) -> usize) -> GrayImage {
+        let sample = |at: usize| {
+            let (x, y) = (at % 96 + shift_px(at / 96), at / 96);
+            (128.0 + 60.0 * (0.9 * x as f64 + 0.2 * y as f64).sin() + 30.0 * (0.5 * y as f64).sin()) as u8
+        };
+        GrayImage::from_samples(96, 64, (0..96 * 64).map(sample).collect()).unwrap()
+    }
+
+    #[test]
+    fn rows_of_two_times_are_found_and_replaced() {
+        let (still, combed) = (picture(|_| 0), picture(|y| 3 * (y % 2)));
+        let mut interlacing = Interlacing::default();
+        assert!(!interlacing.look(&still) && !interlacing.look(&combed) && interlacing.look(&combed));
+        assert!(interlacing.look(&still), "a recording that is interlaced stays so");
+        let (field, truth) = (even_field(combed), still);
+        let most = field.samples().iter().zip(truth.samples()).map(|(&a, &b)| a.abs_diff(b)).max();
+        assert!(most.unwrap() < 20, "{most:?}");
+        assert!((0..64).step_by(2).all(|y| field.row(y) == truth.row(y)));
+    }
+
+    #[test]
+    fn noise_is_not_interlaced() {
+        let mut random = crate::motion::Random::new(3);
+        let mut interlacing = Interlacing::default();
+        for _ in 0..50 {
+            let samples = (0..96 * 64).map(|_| random.below(256) as u8).collect();
+            assert!(!interlacing.look(&GrayImage::from_samples(96, 64, samples).unwrap()));
+        }
+    }
+}
