@@ -83,8 +83,10 @@ mod tests {
         assert!(!interlacing.look(&still) && !interlacing.look(&combed) && interlacing.look(&combed));
         assert!(interlacing.look(&still), "a recording that is interlaced stays so");
         let (field, truth) = (even_field(combed), still);
-        let most = field.samples().iter().zip(truth.samples()).map(|(&a, &b)| a.abs_diff(b)).max();
-        assert!(most.unwrap() < 20, "{most:?}");
+        // The last row has one neighbour only.
+        let rows = 0..62 * 96;
+        let most = rows.map(|at| field.samples()[at].abs_diff(truth.samples()[at])).max();
+        assert!(most.unwrap() < 8, "{most:?}");
         assert!((0..64).step_by(2).all(|y| field.row(y) == truth.row(y)));
     }
 
