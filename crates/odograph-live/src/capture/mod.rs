@@ -23,7 +23,7 @@ use std::sync::atomic::{AtomicBool, AtomicU64, Ordering};
 use std::sync::{Arc, Mutex, PoisonError};
 use std::time::{Duration, Instant};
 
-/// Reads the parts of a multipart stream; its first line is the `Content-Type`. For the fuzz target.
+/// Reads the parts of a multipart stream, its first line a `Content-Type`, for the fuzz target.
 #[cfg(fuzzing)]
 pub fn read_multipart(bytes: &[u8]) {
     let (head, body) = bytes.split_at(bytes.iter().position(|&byte| byte == b'\n').unwrap_or(0));
