@@ -3,6 +3,8 @@
 
 #![allow(clippy::unwrap_used)] // a test fails by panicking
 
+#[path = "hostile/commands.rs"]
+mod commands;
 #[path = "hostile/inputs.rs"]
 mod inputs;
 #[path = "hostile/interruptions.rs"]

@@ -41,8 +41,8 @@ pub struct GateArguments {
     /// rig, ground truth) and measures nothing.
     #[arg(long)]
     pub export: Option<PathBuf>,
-    /// Rewrites the tables between `gate:begin` and `gate:end` in docs/accuracy.md from the
-    /// baseline and measures nothing.
+    /// Rewrites the tables between `gate:begin` and `gate:end` in docs/accuracy.md and
+    /// docs/reliability.md from the stored results and measures nothing.
     #[arg(long)]
     pub tables: bool,
 }

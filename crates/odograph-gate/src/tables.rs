@@ -10,7 +10,7 @@ use std::collections::BTreeMap;
 use std::path::Path;
 
 /// Documents with generated tables, relative to the root of the checkout.
-const DOCUMENTS: [&str; 1] = ["docs/accuracy.md"];
+const DOCUMENTS: [&str; 2] = ["docs/accuracy.md", "docs/reliability.md"];
 
 /// Rewrites the tables of all documents from the baseline.
 pub fn rewrite(baseline: &Path) -> Result<()> {
@@ -74,10 +74,51 @@ fn field_table() -> Result<String> {
     Ok(text)
 }
 
+/// Figures of `odograph-reliability`.
+const KILLS: &str = include_str!("../../../bench/kills.json");
+
+/// The commands that were killed, and what was checked after it.
+fn kills_table() -> Result<String> {
+    let unreadable = || Error::input("bench/kills.json is not what odograph-reliability writes");
+    let kills: serde_json::Value = serde_json::from_str(KILLS).map_err(|_| unreadable())?;
+    let commands = kills["commands"].as_object().ok_or_else(unreadable)?;
+    let mut text = String::from("| command |");
+    KILL_COLUMNS.iter().for_each(|(_, title)| text += &format!(" {title} |"));
+    text += &format!("\n|---{}|\n", "|---".repeat(KILL_COLUMNS.len()));
+    let mut sums = [0; KILL_COLUMNS.len()];
+    for (name, figures) in commands {
+        text += &format!("| `{name}` |");
+        for ((key, _), sum) in KILL_COLUMNS.iter().zip(&mut sums) {
+            let value = figures[*key].as_u64().ok_or_else(unreadable)?;
+            *sum += value;
+            text += &format!(" {value} |");
+        }
+        text.push('\n');
+    }
+    text += "| all |";
+    sums.iter().for_each(|sum| text += &format!(" {sum} |"));
+    Ok(text + "\n")
+}
+
+const KILL_COLUMNS: [(&str, &str); 9] = [
+    ("killed", "SIGKILL"),
+    ("interrupted", "SIGTERM, SIGINT"),
+    ("ended_before", "had ended"),
+    ("early", "within 150 ms"),
+    ("maps_checked", "maps checked"),
+    ("keyframes_checked", "keyframes"),
+    ("frames_checked", "frames"),
+    ("run_again", "run again"),
+    ("failed", "failed checks"),
+];
+
 /// The table of that name.
 fn table(name: &str, baseline: &Baseline) -> Result<String> {
     if name == "field" {
         return field_table();
+    }
+    if name == "kills" {
+        return kills_table();
     }
     let is_real = |row: &&RowFigures| recordings::all().iter().any(|real| real.name == row.name);
     let (rows, keys): (Vec<&RowFigures>, &[&str]) = match name {

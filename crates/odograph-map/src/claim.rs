@@ -72,7 +72,12 @@ impl MapClaim {
 
     /// Removes the map with SQLite's files beside it. Succeeds if there is no map.
     pub fn remove_map(&self) -> Result<()> {
-        remove(&self.0.map)
+        remove_files(std::iter::once(self.0.map.clone()).chain(files_beside(&self.0.map)))
+    }
+
+    /// Removes SQLite's files beside the map.
+    pub(crate) fn remove_beside(&self) -> Result<()> {
+        remove_files(files_beside(&self.0.map))
     }
 }
 
@@ -86,8 +91,12 @@ impl Drop for Held {
     }
 }
 
-pub(crate) fn remove(map: &Path) -> Result<()> {
-    for name in std::iter::once(map.to_owned()).chain(BESIDE.map(|ending| with_ending(map, ending))) {
+fn files_beside(map: &Path) -> impl Iterator<Item = PathBuf> {
+    BESIDE.into_iter().map(|ending| with_ending(map, ending))
+}
+
+fn remove_files(names: impl Iterator<Item = PathBuf>) -> Result<()> {
+    for name in names {
         match std::fs::remove_file(&name) {
             Err(error) if error.kind() != ErrorKind::NotFound => {
                 return Err(Error::output(format!("{} cannot be removed: {error}", name.display())));
@@ -101,7 +110,7 @@ pub(crate) fn remove(map: &Path) -> Result<()> {
 /// Whether there is any file of a map to remove.
 pub(crate) fn leaves_anything(map: &Path) -> bool {
     let is_there = |path: &Path| path.symlink_metadata().is_ok();
-    is_there(map) || BESIDE.iter().any(|ending| is_there(&with_ending(map, ending)))
+    is_there(map) || files_beside(map).any(|name| is_there(&name))
 }
 
 fn taken(map: &Path, lock: &mut File) -> Error {

@@ -6,11 +6,12 @@ use crate::lever_arm;
 use crate::schema;
 use crate::thinning::{Thinning, thinning};
 use odograph::camera::{Camera, Distortion, Rig};
-use odograph::error::Result;
+use odograph::error::{Error, Result};
 use odograph::ground_map::{GroundMap, KeyframeImages};
 use rusqlite::config::DbConfig;
 use rusqlite::limits::Limit;
 use rusqlite::{Connection, ErrorCode, OpenFlags, Row, params};
+use std::fs::File;
 use std::path::{Path, PathBuf};
 
 /// Largest value that is read from a map, bytes.
@@ -159,6 +160,28 @@ impl MapFile {
     /// is writing it.
     pub fn remove(path: &Path) -> Result<()> {
         if claim::leaves_anything(path) { MapClaim::on(path)?.remove_map() } else { Ok(()) }
+    }
+
+    /// Renames the finished map `new` over the one that `claim` is on, if there is one. A program
+    /// that is killed meanwhile leaves the old map or the new one. If this fails, `new` is removed.
+    pub fn replace(claim: &MapClaim, new: &Path) -> Result<()> {
+        // The log of the old map would be taken for one of the new map, and without its log the old
+        // map lacks its last keyframes: it is merged first. A file that is no map has none.
+        if Self::is_there(claim.path()) {
+            let _ = Self::open_claimed(claim.clone()).and_then(Self::close);
+        }
+        let replaced = claim.remove_beside().and_then(|()| {
+            File::open(new)
+                .and_then(|file| file.sync_all())
+                .and_then(|()| std::fs::rename(new, claim.path()))
+                .map_err(|error| {
+                    Error::output(format!("{} cannot be written: {error}", claim.path().display()))
+                        .caused_by(error)
+                })
+        });
+        replaced.inspect_err(|_| {
+            let _ = Self::remove(new);
+        })
     }
 
     /// Writes the whole map, compacted, to a new file. Fails if the file exists or cannot be

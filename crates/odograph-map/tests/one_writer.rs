@@ -103,3 +103,36 @@ fn a_map_can_be_closed_while_it_is_read() {
     drop(looking);
     assert_eq!(MapFile::open(&path).unwrap().map().unwrap().keyframes.len(), 1);
 }
+
+#[test]
+fn a_replaced_map_keeps_nothing_of_the_log_of_a_killed_writer() {
+    let folder = tempfile::tempdir().unwrap();
+    let (path, new) = (folder.path().join("map.gpkg"), folder.path().join("map.gpkg.part"));
+    let filled = |path: &Path, keyframes: u64| {
+        let mut map = create(path).unwrap();
+        let session = map.begin_session("drive.mp4").unwrap();
+        for number in 0..keyframes {
+            let edges = if number > 0 { vec![ground::edge_to(number)] } else { vec![] };
+            map.add_keyframe(&ground::keyframe(number, session), &ground::image(0), &edges).unwrap();
+        }
+        map
+    };
+    // The files of a program that was killed: the keyframes are in the log.
+    let writing = filled(&path, 4);
+    let left = ["map.gpkg", "map.gpkg-wal"].map(|name| (name, fs::read(folder.path().join(name)).unwrap()));
+    drop(writing);
+    left.iter().for_each(|(name, bytes)| fs::write(folder.path().join(name), bytes).unwrap());
+    filled(&new, 2).close().unwrap();
+    let claim = MapClaim::on(&path).unwrap();
+    // Before anything else the old map gets what its log has.
+    assert!(MapFile::replace(&claim, &folder.path().join("none.part")).is_err());
+    assert!(!folder.path().join("map.gpkg-wal").exists());
+    assert_eq!(MapFile::open_read_only(&path).unwrap().map().unwrap().keyframes.len(), 4);
+    MapFile::replace(&claim, &new).unwrap();
+    drop(claim);
+    let mut map = MapFile::open(&path).unwrap();
+    map.check().unwrap();
+    assert_eq!(map.map().unwrap().keyframes.len(), 2);
+    map.close().unwrap();
+    assert_eq!(fs::read_dir(folder.path()).unwrap().count(), 1);
+}

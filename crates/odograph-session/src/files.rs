@@ -8,6 +8,29 @@ use std::fs;
 use std::io::{self, BufWriter, Read, Write};
 use std::path::{Path, PathBuf};
 
+/// Whether a file may be written at `path`, checked before any work: fails if it is there and may
+/// not be overwritten, or if its folder is missing.
+pub(crate) fn check_output(path: &Path, force: bool) -> Result<()> {
+    if path.is_dir() {
+        return Err(Error::usage(format!("{} is a folder; give the name of a file", path.display())));
+    }
+    if path.exists() && !force {
+        return Err(Error::usage(format!(
+            "{} is already there; choose another name, or --force to overwrite it",
+            path.display()
+        )));
+    }
+    let folder = path.parent().filter(|folder| !folder.as_os_str().is_empty());
+    match folder.filter(|folder| !folder.is_dir()) {
+        Some(folder) => Err(Error::usage(format!(
+            "{} cannot be written: there is no folder {}; make it, or choose another",
+            path.display(),
+            folder.display()
+        ))),
+        None => Ok(()),
+    }
+}
+
 /// Writes a whole file under a temporary name and renames it. A failure leaves no file.
 pub fn write(path: &Path, bytes: &[u8]) -> Result<()> {
     let beside = beside(path);

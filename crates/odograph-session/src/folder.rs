@@ -90,14 +90,7 @@ impl OutputFolder {
             return Err(Error::usage(format!("{} is a file; the results need a folder", path.display())));
         }
         let own_map = path.join("map.gpkg");
-        let is_there =
-            |file: &PathBuf| if *file == own_map { MapFile::is_there(file) } else { file.exists() };
-        let growing_path = files::beside(&path.join("trajectory.csv"));
-        let has_frames = fs::metadata(&growing_path).is_ok_and(|file| file.len() > 0);
-        let there = RUN_FILES.iter().map(|name| path.join(name)).find(is_there);
-        if let Some(there) = there.or(has_frames.then(|| growing_path.clone())).filter(|_| !force) {
-            return Err(is_taken(path, &there));
-        }
+        check_free(path, force)?;
         let missing = |folder: &&Path| !folder.as_os_str().is_empty() && !folder.exists();
         let made: Vec<PathBuf> = path.ancestors().take_while(missing).map(Path::to_owned).collect();
         let undone = |error| {
@@ -108,6 +101,9 @@ impl OutputFolder {
             undone(Error::output(format!("{} cannot be made: {error}", path.display())).caused_by(error))
         })?;
         let claims = claims(&own_map, &output.map).map_err(&undone)?;
+        // Another run may have ended here since.
+        check_free(path, force)?;
+        let growing_path = files::beside(&path.join("trajectory.csv"));
         let growing = File::create(&growing_path)
             .map_err(|error| undone(files::cannot_be_written(&growing_path, error)))?;
         let had_map = MapFile::is_there(&own_map);
@@ -252,6 +248,19 @@ impl OutputFolder {
     pub fn finish(&mut self, statistics: &RunStatistics) -> Result<()> {
         self.write("stats.json", (statistics.json()? + "\n").as_bytes())
     }
+}
+
+/// Refuses a folder with results, unless they may be replaced.
+fn check_free(folder: &Path, force: bool) -> Result<()> {
+    if force {
+        return Ok(());
+    }
+    let own_map = folder.join("map.gpkg");
+    let is_there = |file: &PathBuf| if *file == own_map { MapFile::is_there(file) } else { file.exists() };
+    let growing = files::beside(&folder.join("trajectory.csv"));
+    let has_frames = fs::metadata(&growing).is_ok_and(|file| file.len() > 0);
+    let there = RUN_FILES.iter().map(|name| folder.join(name)).find(is_there);
+    there.or(has_frames.then_some(growing)).map_or(Ok(()), |there| Err(is_taken(folder, &there)))
 }
 
 /// The refusal of a folder with results: of a run that was killed it says what there is to do.

@@ -1,5 +1,6 @@
 //! Output of a run.
 
+use crate::files;
 use odograph::error::{Error, Result};
 use std::path::{Path, PathBuf};
 use tempfile::TempDir;
@@ -58,15 +59,9 @@ impl RunOutput {
         self.threads.unwrap_or(3)
     }
 
-    /// Fails if the bag exists and may not be overwritten.
+    /// Fails if the bag exists and may not be overwritten, or cannot be written there.
     pub fn check_bag(&self) -> Result<()> {
-        match &self.bag {
-            Some(bag) if bag.exists() && !self.force => Err(Error::usage(format!(
-                "{} is already there; choose another name, or --force to overwrite it",
-                bag.display()
-            ))),
-            _ => Ok(()),
-        }
+        self.bag.as_ref().map_or(Ok(()), |bag| files::check_output(bag, self.force))
     }
 
     /// The folder, with a guard that removes a temporary one.

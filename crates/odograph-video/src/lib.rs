@@ -51,6 +51,8 @@ pub use bag::{
     RecordedMount, is_robot_recording, recorded_camera, recorded_fixes, recorded_mount, recorded_sensor,
 };
 pub use bayer::BayerPattern;
+#[cfg(fuzzing)]
+pub use codec::read_parameter_sets;
 pub use contents::{Contents, Gap, Stream, StreamUse};
 pub use frame::{Frame, Picture};
 pub use inspection::inspect;

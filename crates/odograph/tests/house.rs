@@ -154,7 +154,7 @@ fn a_module_imports_only_modules_listed_above_it() {
 }
 
 /// The crates of the workspace.
-const CRATES: [&str; 10] = [
+const CRATES: [&str; 11] = [
     "odograph",
     "odograph-calibration",
     "odograph-simulation",
@@ -165,6 +165,7 @@ const CRATES: [&str; 10] = [
     "odograph-report",
     "odograph-cli",
     "odograph-gate",
+    "odograph-reliability",
 ];
 
 /// The source text of every module of a crate.
@@ -188,7 +189,7 @@ fn the_modules_of_a_room_import_each_other_in_no_circle() {
 }
 
 /// Crates whose rooms have their own code in `room/mod.rs`, not in `room.rs` beside `room/`.
-const WITH_MOD_FILES: [&str; 9] = [
+const WITH_MOD_FILES: [&str; 10] = [
     "odograph",
     "odograph-calibration",
     "odograph-simulation",
@@ -198,6 +199,7 @@ const WITH_MOD_FILES: [&str; 9] = [
     "odograph-session",
     "odograph-report",
     "odograph-gate",
+    "odograph-reliability",
 ];
 
 #[test]

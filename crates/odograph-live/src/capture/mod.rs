@@ -23,6 +23,18 @@ use std::sync::atomic::{AtomicBool, AtomicU64, Ordering};
 use std::sync::{Arc, Mutex, PoisonError};
 use std::time::{Duration, Instant};
 
+/// Reads the parts of a multipart stream, its first line a `Content-Type`, for the fuzz target.
+#[cfg(fuzzing)]
+pub fn read_multipart(bytes: &[u8]) {
+    let (head, body) = bytes.split_at(bytes.iter().position(|&byte| byte == b'\n').unwrap_or(0));
+    let Some(boundary) = multipart::boundary(&String::from_utf8_lossy(head)) else { return };
+    // A small buffer: a boundary may span two reads.
+    let reader = std::io::BufReader::with_capacity(16, body);
+    let mut multipart = multipart::Multipart::new(reader, &boundary);
+    let mut part = Vec::new();
+    while multipart.next(&mut part).is_ok_and(|more| more) {}
+}
+
 /// A frame with its arrival time.
 #[derive(Debug, Clone)]
 pub struct Captured {

@@ -13,7 +13,7 @@ use crate::stream::json_line;
 use crate::view::encode;
 use mcap::records::MessageHeader;
 use mcap::write::NoSeek;
-use mcap::{WriteOptions, Writer};
+use mcap::{McapError, WriteOptions, Writer};
 use messages::{CAMERA, WORLD};
 use odograph::error::{Error, Result};
 use odograph::image::GrayImage;
@@ -73,8 +73,7 @@ impl McapFile {
     /// # Errors
     /// If the file cannot be written.
     pub fn create(path: &Path, source: &str) -> Result<Self> {
-        let cannot = |error: &dyn std::fmt::Display| cannot_be_written(path, error);
-        let file = File::create(path).map_err(|error| cannot(&error))?;
+        let file = File::create(path).map_err(|error| cannot_be_written(path, error.into()))?;
         let options = WriteOptions::new()
             .disable_seeking(true)
             .chunk_size(Some(LARGEST_CHUNK))
@@ -86,7 +85,7 @@ impl McapFile {
             writer.write_metadata(&mcap::records::Metadata { name: "odograph".to_owned(), metadata })?;
             Ok((writer, channels))
         };
-        let (writer, channels) = began().map_err(|error| cannot(&error))?;
+        let (writer, channels) = began().map_err(|error| cannot_be_written(path, error))?;
         Ok(Self {
             path: path.to_owned(),
             writer,
@@ -115,7 +114,7 @@ impl McapFile {
         let at = (frame.time_s * 1e9).round() as u64;
         if at.saturating_sub(*self.chunk_began.get_or_insert(at)) >= SECOND {
             self.chunk_began = Some(at);
-            self.writer.flush().map_err(|error| cannot_be_written(&self.path, &error))?;
+            self.writer.flush().map_err(|error| cannot_be_written(&self.path, error))?;
         }
         let channels = &self.channels;
         let mut messages = vec![(channels.frame, json_line(frame, Some(latency_ms)))];
@@ -154,7 +153,7 @@ impl McapFile {
             let header = MessageHeader { channel_id, sequence: self.frames, log_time: at, publish_time: at };
             self.writer
                 .write_to_known_channel(&header, text.as_bytes())
-                .map_err(|error| cannot_be_written(&self.path, &error))?;
+                .map_err(|error| cannot_be_written(&self.path, error))?;
         }
         Ok(())
     }
@@ -169,7 +168,7 @@ impl McapFile {
     /// # Errors
     /// If the file cannot be written.
     pub fn finish(mut self) -> Result<()> {
-        let cannot = |error| cannot_be_written(&self.path, &error);
+        let cannot = |error| cannot_be_written(&self.path, error);
         if self.frames > 0 {
             let (channel_id, sequence, at) = (self.channels.path, self.frames, self.newest);
             let header = MessageHeader { channel_id, sequence, log_time: at, publish_time: at };
@@ -181,8 +180,14 @@ impl McapFile {
     }
 }
 
-fn cannot_be_written(path: &Path, error: &dyn std::fmt::Display) -> Error {
-    Error::output(format!("{} cannot be written: {error}", path.display()))
+fn cannot_be_written(path: &Path, error: McapError) -> Error {
+    let cannot =
+        |why: &dyn std::fmt::Display| Error::output(format!("{} cannot be written: {why}", path.display()));
+    match error {
+        // Its own message does not say what the system's is.
+        McapError::Io(error) => cannot(&error).caused_by(error),
+        error => cannot(&error),
+    }
 }
 
 impl Channels {

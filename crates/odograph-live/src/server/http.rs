@@ -170,6 +170,14 @@ fn parse_head(bytes: &[u8]) -> Result<Option<(Request, usize, usize)>, HttpRefus
     Ok(Some((request, length, body_length)))
 }
 
+/// Parses the header section of a request and looks into it, for the fuzz target.
+#[cfg(fuzzing)]
+pub(super) fn read_head(bytes: &[u8]) {
+    if let Ok(Some((request, ..))) = parse_head(bytes) {
+        let _ = (request.query_value("token"), request.cookie("odograph"));
+    }
+}
+
 /// An HTTP response.
 #[derive(Debug, Default)]
 pub struct Answer {

@@ -23,6 +23,12 @@ use std::sync::atomic::{AtomicBool, AtomicUsize, Ordering};
 use std::thread::{self, JoinHandle};
 use std::time::Duration;
 
+/// Parses the header section of a request, for the fuzz target.
+#[cfg(fuzzing)]
+pub fn read_request(bytes: &[u8]) {
+    http::read_head(bytes);
+}
+
 /// Maximum number of connections; further ones are refused immediately.
 pub const MOST_CONNECTIONS: usize = 256;
 

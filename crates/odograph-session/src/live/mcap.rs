@@ -1,5 +1,6 @@
 //! Recording of a run as an MCAP file, concurrent with tracking.
 
+use crate::files;
 use odograph::error::{Error, Result};
 use odograph::pose_frame::PoseFrame;
 use odograph::trajectory::FrameEstimate;
@@ -35,7 +36,7 @@ struct Entry {
 impl McapLog {
     /// A file at `path`, for a run over a source with this description.
     pub fn new(path: &Path, source: &str, policy: Policy) -> Result<Self> {
-        let file = McapFile::create(path, source).map_err(|error| Error::usage(error.to_string()))?;
+        let file = McapFile::create(path, source)?;
         Ok(Self {
             path: path.to_owned(),
             file: Mutex::new(Some(file)),
@@ -47,13 +48,7 @@ impl McapLog {
 
     /// Whether a file may be written there; checked before anything else.
     pub fn check(path: &Path, force: bool) -> Result<()> {
-        if path.exists() && !force {
-            return Err(Error::usage(format!(
-                "{} is already there; choose another name, or --force to overwrite it",
-                path.display()
-            )));
-        }
-        Ok(())
+        files::check_output(path, force)
     }
 
     /// Adds a frame of the path of `of` without waiting longer than the run's policy allows;

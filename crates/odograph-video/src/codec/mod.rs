@@ -14,6 +14,13 @@ use crate::container::{Codec, VideoTrack};
 use crate::frame::Picture;
 use odograph::error::{Error, Result};
 
+/// Reads sequence parameters of H.264 and HEVC, for the fuzz target.
+#[cfg(fuzzing)]
+pub fn read_parameter_sets(unit: &[u8]) {
+    let _ = h264_parameters::SequenceParameters::read(unit);
+    let _ = h265_parameters::HevcSequenceParameters::read(unit);
+}
+
 /// Metadata of a sample that is passed through the decoder to the picture.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub(crate) struct Stamp {

@@ -56,11 +56,7 @@ pub fn merge(arguments: &MergeArguments) -> Result<Outcome> {
     let summary = joined.inspect_err(|_| {
         let _ = MapFile::remove(&beside);
     })?;
-    claim.remove_map()?;
-    fs::rename(&beside, &arguments.output).map_err(|error| {
-        let _ = MapFile::remove(&beside);
-        Error::output(format!("{} cannot be written: {error}", arguments.output.display()))
-    })?;
+    MapFile::replace(&claim, &beside)?;
     if !arguments.quiet {
         console::print(&format!("{summary}{}\n", arguments.output.display()))?;
     }

@@ -2,13 +2,12 @@
 
 use super::{check_free, mosaic};
 use crate::{Outcome, console, files};
-use odograph::error::{Error, Result};
+use odograph::error::Result;
 use odograph::ground_map::GroundMap;
 use odograph::keyframe::EdgeKind;
 use odograph::odometry::OdometryConfig;
 use odograph::slam;
 use odograph_map::{MapClaim, MapFile};
-use std::fs;
 use std::path::{Path, PathBuf};
 
 /// Optimise all keyframes of a map over all measurements between them.
@@ -54,9 +53,7 @@ pub fn optimize(arguments: &OptimizeArguments) -> Result<Outcome> {
     let outcome = in_place(&beside, arguments).inspect_err(|_| {
         let _ = MapFile::remove(&beside);
     })?;
-    claim.remove_map()?;
-    fs::rename(&beside, output)
-        .map_err(|error| Error::output(format!("{} cannot be written: {error}", output.display())))?;
+    MapFile::replace(&claim, &beside)?;
     Ok(outcome)
 }
 

@@ -3,7 +3,7 @@
 use super::{check_free, mosaic};
 use crate::{Outcome, console, files, interrupt};
 use odograph::error::{Error, Result};
-use odograph_map::{MapFile, Repair};
+use odograph_map::{MapClaim, MapFile, Repair};
 use std::fs;
 use std::path::{Path, PathBuf};
 
@@ -54,17 +54,14 @@ pub fn repair(arguments: &RepairArguments) -> Result<Outcome> {
         return Err(Error::usage("the repaired map needs another name than the damaged one"));
     }
     files::make_folder_of(&output)?;
+    let claim = MapClaim::on(&output)?;
     // An existing file is unchanged after a failure, and no partial map is left.
     let beside = files::beside(&output);
     MapFile::remove(&beside)?;
     let saved = saved(damaged, &beside, arguments.quiet).inspect_err(|_| {
         let _ = MapFile::remove(&beside);
     })?;
-    MapFile::remove(&output)?;
-    fs::rename(&beside, &output).map_err(|error| {
-        let _ = MapFile::remove(&beside);
-        Error::output(format!("{} cannot be written: {error}", output.display()))
-    })?;
+    MapFile::replace(&claim, &beside)?;
     if !arguments.quiet {
         let Repair { keyframes, keyframes_lost, edges, frames, .. } = saved;
         console::print(&format!(

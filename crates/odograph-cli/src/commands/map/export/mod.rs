@@ -129,20 +129,18 @@ pub fn export(arguments: &ExportArguments) -> Result<Outcome> {
     if form != Form::Colmap || arguments.output.is_file() {
         check_free(&arguments.output, arguments.force)?;
     }
-    let mut file = MapFile::open_read_only(&arguments.map)?;
     let output = arguments.output.as_path();
+    if matches!(form, Form::Geographic(_)) && anchor.is_none() {
+        return Err(without_anchor(output));
+    }
+    let mut file = MapFile::open_read_only(&arguments.map)?;
     files::make_folder_of(output)?;
     let summary = match form {
         Form::Picture(form) => write_picture(&file, output, form, anchor.as_ref())?,
         Form::Ply => ply::write(&file, output, arguments.max_points)?,
         Form::Trajectory(form) => trajectory::write(&path_asked(&file, arguments.session)?, output, form)?,
         Form::Geographic(form) => {
-            let anchor = anchor.ok_or_else(|| {
-                Error::usage(format!(
-                    "{} needs to know where on Earth the map is; give --anchor LAT,LON,HEADING, or two of --anchor X,Y=LAT,LON",
-                    output.display()
-                ))
-            })?;
+            let anchor = anchor.ok_or_else(|| without_anchor(output))?;
             geographic::write(&file, output, form, &anchor)?
         }
         Form::Colmap => colmap::write(&mut file, output, arguments.force)?,
@@ -151,6 +149,13 @@ pub fn export(arguments: &ExportArguments) -> Result<Outcome> {
         console::print(&format!("{summary}\nLook at {}\n", output.display()))?;
     }
     Ok(Outcome::Done)
+}
+
+fn without_anchor(output: &Path) -> Error {
+    Error::usage(format!(
+        "{} needs to know where on Earth the map is; give --anchor LAT,LON,HEADING, or two of --anchor X,Y=LAT,LON",
+        output.display()
+    ))
 }
 
 /// Writes the mosaic of a map.

@@ -1,0 +1,10 @@
+#![no_main]
+
+use odograph::formats::gnss_file;
+
+libfuzzer_sys::fuzz_target!(|text: &str| {
+    if let Ok(fixes) = gnss_file::parse(text) {
+        gnss_file::write(&fixes);
+    }
+    let _ = gnss_file::parse_utc(text);
+});
