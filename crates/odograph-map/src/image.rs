@@ -18,12 +18,13 @@ const QUALITY: u8 = 95;
 
 /// A keyframe image as stored in the file.
 #[derive(Debug, Clone, PartialEq)]
-pub(crate) struct StoredImage {
+pub struct StoredImage {
     /// Whether the JPEG has colour.
     pub colored: bool,
     /// Luma of the colour image = `luma_scale · gray + luma_offset`: the gray of limited-range
     /// video does not span black to white.
     pub luma_scale: f64,
+    /// The offset of that line.
     pub luma_offset: f64,
     /// The JPEG file.
     pub jpeg: Vec<u8>,
