@@ -30,6 +30,14 @@ pub struct StoredImage {
     pub jpeg: Vec<u8>,
 }
 
+impl StoredImage {
+    /// Decodes the image, which must have this width and height. The error is the end of a sentence
+    /// that begins with the image.
+    pub fn decode(&self, size: (usize, usize)) -> std::result::Result<KeyframeImage, String> {
+        decode(self, size)
+    }
+}
+
 /// Encodes an image. Fails if its colour and gray differ in size, or if it exceeds the maximum size
 /// of a JPEG.
 pub(crate) fn encode(image: &KeyframeImage) -> Result<StoredImage> {
