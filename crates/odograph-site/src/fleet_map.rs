@@ -139,9 +139,12 @@ impl FleetMap {
             numbers.insert(mapped.session);
             keyframes.extend(std::mem::take(&mut mapped.keyframes).into_values());
         }
-        let any = !keyframes.is_empty();
-        if any {
+        if !keyframes.is_empty() {
             store.file.remove_keyframes(&keyframes, &[])?;
+        }
+        // A keyframe that could not be stored is in the mapper alone.
+        let any = mapper.map().keyframes.iter().any(|keyframe| numbers.contains(&keyframe.session));
+        if any {
             mapper = mapper.without(&numbers);
         }
         Ok((Self { store, mapper, sessions }, any))

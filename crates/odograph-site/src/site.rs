@@ -5,7 +5,7 @@ use crate::protocol::{RobotState, SessionDescription, SiteStatus};
 use crate::published::Published;
 use crate::record::Record;
 use crate::records::{NotStored, Records, StoredSession};
-use odograph::error::{Error, Result};
+use odograph::error::{Error, ErrorKind, Result};
 use odograph::slam::SessionScale;
 use odograph_map::{MapClaim, MapFile, SessionOrigin};
 use serde_json::Value;
@@ -19,6 +19,8 @@ use std::time::{Duration, Instant};
 
 /// Most records that are merged before their effect is published.
 const AT_ONCE: usize = 16;
+/// Time between two publications while records are merged.
+const PUBLISHED_EVERY: Duration = Duration::from_millis(500);
 /// Pause without records after which the map is optimised and written.
 const SETTLED_AFTER: Duration = Duration::from_secs(1);
 /// Pause after which it is seen whether the mosaic is due.
@@ -85,6 +87,7 @@ impl Site {
             claim,
             sessions: BTreeMap::new(),
             sequence: 0,
+            published: None,
         };
         let shared = Arc::new(SiteState::default());
         // What was acknowledged and not merged when the site ended.
@@ -279,6 +282,8 @@ struct Merger {
     sessions: BTreeMap<i64, StoredSession>,
     /// Sequence number up to which all records of active robots are in the map.
     sequence: i64,
+    /// When the state was published last.
+    published: Option<Instant>,
 }
 
 impl Merger {
@@ -360,8 +365,18 @@ impl Merger {
                 Some(map) => map,
                 none => none.insert(FleetMap::create(&self.claim, &description)?),
             };
-            map.add(&description, record)?;
             merged += 1;
+            match map.add(&description, record) {
+                // The disk may have room again when the site is started again.
+                Err(error) if error.kind() == ErrorKind::Output => return Err(error),
+                Err(error) => {
+                    let reason = format!("record {number} of session {} cannot be used: {error}", origin.key);
+                    self.records.set_robot(&origin.robot, RobotState::Quarantined, Some(&reason))?;
+                    self.take_out_inactive()?;
+                    break;
+                }
+                Ok(()) => {}
+            }
             if self.quarantine_doubtful()? {
                 break;
             }
@@ -369,7 +384,9 @@ impl Merger {
         if merged > 0 {
             let version = self.records.version()?;
             self.records.set_version(version + merged as u64)?;
-            self.publish(shared)?;
+            if self.published.is_none_or(|at| at.elapsed() >= PUBLISHED_EVERY) {
+                self.publish(shared)?;
+            }
         }
         Ok(!next.is_empty())
     }
@@ -419,7 +436,8 @@ impl Merger {
         Ok(any)
     }
 
-    fn publish(&self, shared: &SiteState) -> Result<()> {
+    fn publish(&mut self, shared: &SiteState) -> Result<()> {
+        self.published = Some(Instant::now());
         shared.lock_published().update(&self.records, self.map.as_ref())
     }
 }

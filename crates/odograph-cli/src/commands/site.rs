@@ -4,6 +4,7 @@ use super::live::address;
 use crate::{Outcome, console, files, interrupt};
 use odograph::error::{Error, Result};
 use odograph_live::server::new_token;
+use odograph_map::{MapFile, Session};
 use odograph_site::{
     DEFAULT_PORT, LinkReport, Site, SiteAddress, SiteClient, SiteLink, SiteServer, SiteStatus,
 };
@@ -153,7 +154,7 @@ impl SiteLinkArguments {
         });
         let link = SiteLink::start(map, robot, SiteClient::new(site.clone()), listening)?;
         let command = format!("odograph site send {} --site {site} --robot {robot}", map.display());
-        Ok(Some(RobotLink { link: Arc::new(link), command }))
+        Ok(Some(RobotLink { link: Arc::new(link), map: map.to_owned(), command }))
     }
 }
 
@@ -161,6 +162,7 @@ impl SiteLinkArguments {
 #[derive(Debug, Clone)]
 pub struct RobotLink {
     link: Arc<SiteLink>,
+    map: PathBuf,
     /// What sends the rest later.
     command: String,
 }
@@ -175,6 +177,12 @@ impl RobotLink {
     pub fn finish(self, quiet: bool) {
         let Some(link) = Arc::into_inner(self.link) else { return };
         let report = link.finish(PATIENCE, &|| !interrupt::asked());
+        // The run could not fold the log of the map while the link was reading.
+        let mut log = self.map.clone().into_os_string();
+        log.push("-wal");
+        if Path::new(&log).exists() {
+            let _ = MapFile::open(&self.map).and_then(MapFile::close);
+        }
         if !report.complete {
             console::warn(&format!("the site has not everything yet; {} sends the rest", self.command));
         }
@@ -244,10 +252,9 @@ fn serve(arguments: &ServeSiteArguments) -> Result<Outcome> {
 }
 
 fn send(arguments: &SendArguments) -> Result<Outcome> {
-    let file = odograph_map::MapFile::open_read_only(&arguments.map)?;
-    let named = |session: &odograph_map::Session| {
-        session.origin.as_ref().is_some_and(|origin| origin.robot == arguments.robot)
-    };
+    let file = MapFile::open_read_only(&arguments.map)?;
+    let named =
+        |session: &Session| session.origin.as_ref().is_some_and(|origin| origin.robot == arguments.robot);
     if !file.sessions()?.iter().any(named) {
         return Err(Error::input(format!(
             "{} has no session of {}; a run has a robot with --robot",
