@@ -198,12 +198,15 @@ impl FleetMap {
         self.store.file.set_poses(&poses)
     }
 
-    /// Renders the mosaic of the map; `keep_going` is asked in between.
+    /// Renders the mosaic of what is connected to the first keyframe: where the rest lies is not
+    /// known. `keep_going` is asked in between.
     pub fn render(&mut self, keep_going: &mut dyn FnMut() -> bool) -> Result<bool> {
-        if self.mapper.map().keyframes.is_empty() {
-            return Ok(false);
-        }
-        self.store.file.render_mosaic(None, &mut |_| keep_going())
+        let sessions = self.sessions.values().map(|mapped| mapped.session);
+        let connected: BTreeSet<u32> =
+            sessions.filter(|session| self.mapper.is_connected(*session)).collect();
+        let mut part = self.mapper.map().clone();
+        part.keyframes.retain(|keyframe| connected.contains(&keyframe.session));
+        self.store.file.render_mosaic_of(&part, None, &mut |_| keep_going())
     }
 
     /// Closes the file.
