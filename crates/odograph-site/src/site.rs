@@ -40,7 +40,7 @@ pub struct Site {
     folder: PathBuf,
     records: Mutex<Records>,
     shared: Arc<SiteState>,
-    merger: Option<JoinHandle<()>>,
+    merger: Mutex<Option<JoinHandle<()>>>,
 }
 
 #[derive(Debug, Default)]
@@ -106,7 +106,7 @@ impl Site {
             })
             .map_err(|error| Error::output(format!("the merging thread cannot be started: {error}")))?;
         let folder = folder.to_owned();
-        Ok(Self { folder, records: Mutex::new(records), shared, merger: Some(thread) })
+        Ok(Self { folder, records: Mutex::new(records), shared, merger: Mutex::new(Some(thread)) })
     }
 
     /// The folder.
@@ -212,6 +212,17 @@ impl Site {
         MapFile::open_read_only(&path)?.mosaic_picture(most_pixels)
     }
 
+    /// Ends merging and closes the map, so that another program may serve the site. What is
+    /// acknowledged after that is merged by that one.
+    pub fn close(&self) {
+        self.shared.ended.store(true, Ordering::Relaxed);
+        self.shared.tell(|_| {});
+        let merger = self.merger.lock().unwrap_or_else(PoisonError::into_inner).take();
+        if let Some(merger) = merger {
+            let _ = merger.join();
+        }
+    }
+
     /// Waits until everything that was acknowledged or decided is in the map, and the map is on
     /// disk, or until merging has failed.
     pub fn wait_until_settled(&self) {
@@ -227,11 +238,7 @@ impl Site {
 
 impl Drop for Site {
     fn drop(&mut self) {
-        self.shared.ended.store(true, Ordering::Relaxed);
-        self.shared.tell(|_| {});
-        if let Some(merger) = self.merger.take() {
-            let _ = merger.join();
-        }
+        self.close();
     }
 }
 

@@ -246,8 +246,7 @@ fn serve(arguments: &ServeSiteArguments) -> Result<Outcome> {
         thread::sleep(Duration::from_millis(100));
     }
     drop(server);
-    // The merging thread ends with the site.
-    drop(site);
+    site.close();
     Ok(Outcome::Done)
 }
 
