@@ -25,7 +25,9 @@ fn server() {
     let site = Arc::new(Site::open(Path::new(&folder)).unwrap());
     let server = SiteServer::start(address, site, None).unwrap();
     println!("\nserved at {}", server.address());
-    std::thread::park();
+    loop {
+        std::thread::park();
+    }
 }
 
 /// Starts the server; returns the address as well.
