@@ -76,7 +76,7 @@ fn only_who_has_the_token_is_answered() {
 
 /// The records of a robot's map as a link sends them, and its description.
 fn sent(folder: &Path) -> (SessionOrigin, Value, Vec<Vec<u8>>) {
-    let robot = Robot { lane: ((0.0, 0.0), 0.0, 30), ..Robot::first() };
+    let robot = Robot { lane: ((0.0, 0.0), 0.0, 60), ..Robot::first() };
     let path = robot.drive(folder);
     let file = MapFile::open_read_only(&path).unwrap();
     let origin = file.sessions().unwrap()[0].origin.clone().unwrap();
