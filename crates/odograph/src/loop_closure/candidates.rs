@@ -68,9 +68,9 @@ impl Prior {
     }
 }
 
-/// The older keyframes that probably overlap a new one and whose position is certain enough,
-/// largest overlap first. `known` gives camera, height, roll and pitch of a keyframe; `reach` starts
-/// at the new one.
+/// The older keyframes that probably overlap a new one and whose position is certain enough, with
+/// the largest overlap first. `known` gives camera, height, roll and pitch of a keyframe; `reach`
+/// starts at the new one.
 pub fn candidates(
     graph: &PoseGraph,
     reach: &mut Reach<'_>,
