@@ -40,6 +40,7 @@ enum Command {
     Camera(commands::camera::CameraArguments),
     Ground(commands::ground::GroundArguments),
     Map(commands::map::MapArguments),
+    Site(commands::site::SiteArguments),
     Profile(commands::profile::ProfileArguments),
     Completions(commands::completions::CompletionsArguments),
 }
@@ -47,7 +48,7 @@ enum Command {
 /// The commands as the first help shows them: grouped by purpose.
 const GROUPS: [(&str, &[&str]); 5] = [
     ("Follow a camera", &["demo", "info", "doctor", "run", "live", "view"]),
-    ("Use maps", &["localize", "map"]),
+    ("Use maps", &["localize", "map", "site"]),
     ("Set up a camera", &["board", "calibrate", "ground", "camera", "cameras", "profile"]),
     ("Try and judge", &["simulate", "evaluate", "undistort"]),
     ("More", &["completions"]),
@@ -114,6 +115,7 @@ fn main() -> ExitCode {
         Command::Camera(arguments) => commands::camera::camera(arguments),
         Command::Ground(arguments) => commands::ground::ground(arguments),
         Command::Map(arguments) => commands::map::map(arguments),
+        Command::Site(arguments) => commands::site::site(arguments),
         Command::Profile(arguments) => commands::profile::profile(arguments),
         Command::Completions(arguments) => commands::completions::completions(arguments),
     };

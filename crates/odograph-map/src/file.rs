@@ -2,24 +2,21 @@
 
 use crate::claim::{self, MapClaim};
 use crate::complaint::{Complaint, WithContext};
-use crate::lever_arm;
-use crate::schema;
+use crate::origin::{self, SessionOrigin};
 use crate::thinning::{Thinning, thinning};
-use odograph::camera::{Camera, Distortion, Rig};
+use crate::{cameras, schema};
+use odograph::camera::{Camera, Rig};
 use odograph::error::{Error, Result};
-use odograph::ground_map::{GroundMap, KeyframeImages};
+use odograph::ground_map::{GroundMap, KeyframeImages, MountedCamera};
 use rusqlite::config::DbConfig;
 use rusqlite::limits::Limit;
-use rusqlite::{Connection, ErrorCode, OpenFlags, Row, params};
+use rusqlite::{Connection, ErrorCode, OpenFlags, Transaction, params};
+use std::collections::BTreeMap;
 use std::fs::File;
 use std::path::{Path, PathBuf};
 
 /// Largest value that is read from a map, bytes.
 const LARGEST_VALUE: i32 = 256 << 20;
-/// Largest number of pixels of a map's camera: a decoded image has as many bytes.
-const MOST_PIXELS: usize = 256 << 20;
-/// Largest accepted height, metres.
-const GREATEST_HEIGHT_M: f64 = 1e6;
 /// Number of 4 KiB pages in the write-ahead log at which it is checkpointed into the file.
 const PAGES_IN_LOG: i64 = 2000;
 
@@ -30,6 +27,8 @@ pub struct Session {
     pub id: u32,
     /// Source of the run: a file, folder or stream.
     pub source: String,
+    /// Who made it, where the robot has a name.
+    pub origin: Option<SessionOrigin>,
 }
 
 /// A map file.
@@ -44,6 +43,9 @@ pub struct MapFile {
     path: PathBuf,
     camera: Camera,
     rig: Rig,
+    other_cameras: BTreeMap<u32, MountedCamera>,
+    /// Of each session of a named robot that was begun here: the id of its keyframe number 0.
+    pub(crate) numbered_from: BTreeMap<u32, u64>,
     /// Held while the map is open for writing. Declared after the connection, so that the
     /// connection is dropped first.
     claim: Option<MapClaim>,
@@ -77,12 +79,7 @@ impl MapFile {
             // map.
             let transaction = connection.transaction()?;
             schema::make(&transaction)?;
-            write_camera(&transaction, camera)?;
-            transaction.execute(
-                "INSERT INTO odograph_rig VALUES (1, ?1, ?2, ?3, ?4)",
-                params![rig.height_m, rig.roll_rad, rig.pitch_rad, rig.yaw_rad],
-            )?;
-            rig.lever_arm.map_or(Ok(()), |arm| lever_arm::write(&transaction, &arm))?;
+            cameras::write_first(&transaction, camera, rig)?;
             transaction.commit()
         })();
         if let Err(failure) = made {
@@ -90,8 +87,10 @@ impl MapFile {
             let _ = claim.remove_map();
             return Err(complaint.writing(&failure));
         }
-        let camera = camera.clone();
-        Ok(Self { connection, complaint, path, camera, rig: *rig, claim: Some(claim) })
+        let (camera, numbered_from) = (camera.clone(), BTreeMap::new());
+        let other_cameras = BTreeMap::new();
+        let claim = Some(claim);
+        Ok(Self { connection, complaint, path, camera, rig: *rig, other_cameras, numbered_from, claim })
     }
 
     /// Opens a map to continue it. Fails, with one sentence, if the file is not a complete map of
@@ -134,9 +133,20 @@ impl MapFile {
             schema::check_writable(&connection, path)?;
             write_ahead(&connection).while_writing(&complaint)?;
         }
-        let camera = read_camera(&connection, &complaint)?;
-        let rig = read_rig(&connection, &complaint)?;
-        Ok(Self { connection, complaint, path: path.to_owned(), camera, rig, claim })
+        Self::with_cameras(connection, complaint, path, claim)
+    }
+
+    /// The file behind a connection; reads its cameras.
+    fn with_cameras(
+        connection: Connection,
+        complaint: Complaint,
+        path: &Path,
+        claim: Option<MapClaim>,
+    ) -> Result<Self> {
+        let (camera, rig) = cameras::read_first(&connection, &complaint)?;
+        let other_cameras = cameras::read_of_sessions(&connection, &complaint)?;
+        let (path, numbered_from) = (path.to_owned(), BTreeMap::new());
+        Ok(Self { connection, complaint, path, camera, rig, other_cameras, numbered_from, claim })
     }
 
     /// Opens a damaged map to save what can be read of it: neither its length nor its tables are
@@ -151,9 +161,7 @@ impl MapFile {
             .and_then(|()| connection.set_db_config(DbConfig::SQLITE_DBCONFIG_DEFENSIVE, false))
             .and_then(|_| connection.pragma_update(None, "writable_schema", true))
             .while_reading(&complaint)?;
-        let camera = read_camera(&connection, &complaint)?;
-        let rig = read_rig(&connection, &complaint)?;
-        Ok(Self { connection, complaint, path: path.to_owned(), camera, rig, claim: None })
+        Self::with_cameras(connection, complaint, path, None)
     }
 
     /// Deletes a map with its write-ahead log. Succeeds if there is none; fails if another program
@@ -208,7 +216,7 @@ impl MapFile {
         &self.path
     }
 
-    /// Camera of all keyframes.
+    /// Camera of the first session, and of every one that is not in [`MapFile::other_cameras`].
     pub fn camera(&self) -> &Camera {
         &self.camera
     }
@@ -216,6 +224,16 @@ impl MapFile {
     /// Mounting of the camera at the start of the first session.
     pub fn rig(&self) -> &Rig {
         &self.rig
+    }
+
+    /// The sessions that were made with another camera or mount than the first, by session.
+    pub fn other_cameras(&self) -> &BTreeMap<u32, MountedCamera> {
+        &self.other_cameras
+    }
+
+    /// The camera of a session.
+    pub fn camera_of(&self, session: u32) -> &Camera {
+        self.other_cameras.get(&session).map_or(&self.camera, |other| &other.camera)
     }
 
     /// Reads the map without its images. Fails if anything in it is invalid, such as a number that
@@ -227,33 +245,92 @@ impl MapFile {
         Ok(GroundMap {
             camera: self.camera.clone(),
             rig: self.rig,
+            other_cameras: self.other_cameras.clone(),
             keyframes: self.keyframes()?,
             edges: self.edges()?,
         })
     }
 
-    /// Starts a session with this source; returns its index.
+    /// Starts a session of the map's camera with this source; returns its index.
     pub fn begin_session(&mut self, source: &str) -> Result<u32> {
+        self.new_session(source, None, &|_, _| Ok(()))
+    }
+
+    /// Starts a session of a named robot with a new key. Its keyframes are numbered from 0 in the
+    /// order in which they are added. Fails if the robot cannot be called so, or if the session
+    /// cannot be written.
+    pub fn begin_session_by(
+        &mut self,
+        robot: &str,
+        source: &str,
+        mounted: Option<&MountedCamera>,
+    ) -> Result<u32> {
+        origin::check_name(robot)?;
+        let first = self.next_keyframe()?.0;
+        let id =
+            self.new_session(source, mounted, &|transaction, id| origin::begin(transaction, id, robot))?;
+        self.numbered_from.insert(id, first);
+        Ok(id)
+    }
+
+    /// Starts a session that another map has too, with the camera that it was made with. Numbers
+    /// of its keyframes are given with them ([`MapFile::add_numbered_keyframe`]).
+    pub fn begin_session_of(
+        &mut self,
+        origin: &SessionOrigin,
+        source: &str,
+        mounted: &MountedCamera,
+    ) -> Result<u32> {
+        let origin = origin.clone().validated()?;
+        self.new_session(source, Some(mounted), &|transaction, id| origin::write(transaction, id, &origin))
+    }
+
+    /// Starts a session with a camera of its own. Fails if the session cannot be written.
+    pub fn begin_session_with(&mut self, source: &str, mounted: &MountedCamera) -> Result<u32> {
+        self.new_session(source, Some(mounted), &|_, _| Ok(()))
+    }
+
+    fn new_session(
+        &mut self,
+        source: &str,
+        mounted: Option<&MountedCamera>,
+        named: &dyn Fn(&Transaction<'_>, u32) -> rusqlite::Result<()>,
+    ) -> Result<u32> {
+        let other =
+            mounted.filter(|mounted| mounted.camera != self.camera || mounted.rig != self.rig).cloned();
         let transaction = self.connection.transaction().while_writing(&self.complaint)?;
         let id: u32 = transaction
             .query_row("SELECT ifnull(max(id) + 1, 0) FROM odograph_session", [], |row| row.get(0))
             .while_reading(&self.complaint)?;
-        transaction
-            .execute("INSERT INTO odograph_session VALUES (?1, ?2)", params![id, source])
-            .and_then(|_| transaction.commit())
-            .while_writing(&self.complaint)?;
+        (|| {
+            transaction.execute("INSERT INTO odograph_session VALUES (?1, ?2)", params![id, source])?;
+            if let Some(other) = &other {
+                cameras::write_of_session(&transaction, id, other)?;
+            }
+            named(&transaction, id)?;
+            transaction.commit()
+        })()
+        .while_writing(&self.complaint)?;
+        if let Some(other) = other {
+            self.other_cameras.insert(id, other);
+        }
         Ok(id)
     }
 
     /// The sessions in order.
     pub fn sessions(&self) -> Result<Vec<Session>> {
+        let mut origins = origin::read(&self.connection, &self.complaint)?;
         let mut statement = self
             .connection
             .prepare("SELECT id, source FROM odograph_session ORDER BY id")
             .while_reading(&self.complaint)?;
-        let session = |row: &Row<'_>| Ok(Session { id: row.get(0)?, source: row.get(1)? });
-        let rows = statement.query_map([], session).while_reading(&self.complaint)?;
-        rows.collect::<rusqlite::Result<_>>().while_reading(&self.complaint)
+        let rows =
+            statement.query_map([], |row| Ok((row.get(0)?, row.get(1)?))).while_reading(&self.complaint)?;
+        rows.map(|row| {
+            let (id, source): (u32, String) = row.while_reading(&self.complaint)?;
+            Ok(Session { id, source, origin: origins.remove(&id) })
+        })
+        .collect()
     }
 
     /// Checks the whole file for damage (`PRAGMA integrity_check`; slow on a large map), then reads
@@ -340,89 +417,4 @@ fn write_ahead(connection: &Connection) -> rusqlite::Result<()> {
     connection.query_row("PRAGMA journal_mode = WAL", [], |_| Ok(()))?;
     connection.pragma_update(None, "synchronous", "NORMAL")?;
     connection.pragma_update(None, "wal_autocheckpoint", PAGES_IN_LOG)
-}
-
-/// Names of the lens models in the file.
-fn name_of(distortion: &Distortion) -> &'static str {
-    match distortion {
-        Distortion::None => "none",
-        Distortion::BrownConrady { .. } => "brown-conrady",
-        Distortion::KannalaBrandt { .. } => "kannala-brandt",
-        Distortion::DoubleSphere { .. } => "double-sphere",
-    }
-}
-
-fn distortion_named(name: &str, coefficients: &[f64]) -> Option<Distortion> {
-    match (name, coefficients) {
-        ("none", []) => Some(Distortion::None),
-        ("brown-conrady", &[k1, k2, p1, p2, k3, k4, k5, k6]) => {
-            Some(Distortion::BrownConrady { k1, k2, p1, p2, k3, k4, k5, k6 })
-        }
-        ("kannala-brandt", &[k1, k2, k3, k4]) => Some(Distortion::KannalaBrandt { k1, k2, k3, k4 }),
-        ("double-sphere", &[xi, alpha]) => Some(Distortion::DoubleSphere { xi, alpha }),
-        _ => None,
-    }
-}
-
-fn write_camera(connection: &Connection, camera: &Camera) -> rusqlite::Result<()> {
-    let coefficients: Vec<u8> =
-        camera.distortion().coefficients().iter().flat_map(|c| c.to_le_bytes()).collect();
-    let ((fx, fy), (cx, cy)) = (camera.focal_px(), camera.principal_px());
-    connection.execute(
-        "INSERT INTO odograph_camera VALUES (1, ?1, ?2, ?3, ?4, ?5, ?6, ?7, ?8)",
-        params![camera.width(), camera.height(), fx, fy, cx, cy, name_of(camera.distortion()), coefficients],
-    )?;
-    Ok(())
-}
-
-fn read_rig(connection: &Connection, complaint: &Complaint) -> Result<Rig> {
-    let lever_arm = lever_arm::read(connection).while_reading(complaint)?;
-    let rig = connection
-        .query_row(
-            "SELECT height_m, roll_rad, pitch_rad, yaw_rad FROM odograph_rig WHERE id = 1",
-            [],
-            |row| {
-                Ok(Rig {
-                    height_m: row.get(0)?,
-                    roll_rad: row.get(1)?,
-                    pitch_rad: row.get(2)?,
-                    yaw_rad: row.get(3)?,
-                    lever_arm,
-                })
-            },
-        )
-        .while_reading(complaint)?
-        .validated()
-        .map_err(|error| complaint.input(error))?;
-    if rig.height_m > GREATEST_HEIGHT_M {
-        return Err(complaint.input(format!(
-            "the camera is {:e} m above the ground; no camera over ground is that high",
-            rig.height_m
-        )));
-    }
-    Ok(rig)
-}
-
-fn read_camera(connection: &Connection, complaint: &Complaint) -> Result<Camera> {
-    let (size, focal_px, principal_px, name, bytes): ((usize, usize), _, _, String, Vec<u8>) = connection
-        .query_row(
-            "SELECT width, height, fx_px, fy_px, cx_px, cy_px, distortion, coefficients FROM odograph_camera WHERE id = 1",
-            [],
-            |row| {
-                let size = (row.get(0)?, row.get(1)?);
-                Ok((size, (row.get(2)?, row.get(3)?), (row.get(4)?, row.get(5)?), row.get(6)?, row.get(7)?))
-            },
-        )
-        .while_reading(complaint)?;
-    let coefficients: Vec<f64> =
-        bytes.chunks(8).map(|eight| eight.try_into().map_or(f64::NAN, f64::from_le_bytes)).collect();
-    let distortion = distortion_named(&name, &coefficients).ok_or_else(|| {
-        complaint.input(format!("the camera has a lens model \"{name}\" that this program does not know"))
-    })?;
-    if size.0.saturating_mul(size.1) > MOST_PIXELS {
-        return Err(
-            complaint.input(format!("the camera's image of {}x{} pixels is too large", size.0, size.1))
-        );
-    }
-    Camera::new(size, focal_px, principal_px, distortion).map_err(|error| complaint.input(error))
 }

@@ -18,15 +18,24 @@ const QUALITY: u8 = 95;
 
 /// A keyframe image as stored in the file.
 #[derive(Debug, Clone, PartialEq)]
-pub(crate) struct StoredImage {
+pub struct StoredImage {
     /// Whether the JPEG has colour.
     pub colored: bool,
     /// Luma of the colour image = `luma_scale · gray + luma_offset`: the gray of limited-range
     /// video does not span black to white.
     pub luma_scale: f64,
+    /// The offset of that line.
     pub luma_offset: f64,
     /// The JPEG file.
     pub jpeg: Vec<u8>,
+}
+
+impl StoredImage {
+    /// Decodes the image, which must have this width and height. The error is the end of a sentence
+    /// that begins with the image.
+    pub fn decode(&self, size: (usize, usize)) -> std::result::Result<KeyframeImage, String> {
+        decode(self, size)
+    }
 }
 
 /// Encodes an image. Fails if its colour and gray differ in size, or if it exceeds the maximum size

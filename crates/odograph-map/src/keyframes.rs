@@ -6,6 +6,7 @@ use crate::file::MapFile;
 use crate::geopackage::{self, Extent, point_geometry};
 use crate::image::{self, StoredImage};
 use crate::numbers::{bytes_from_symmetric, symmetric_from_bytes};
+use crate::origin;
 use crate::paths::{self, KeyframeMove, PathFrame, corrected_path};
 use crate::pose_columns::pose_from;
 use nalgebra::Matrix6;
@@ -51,16 +52,41 @@ impl MapFile {
     ) -> Result<()> {
         let id = keyframe.id.0;
         let size = (image.gray.width(), image.gray.height());
-        if size != (self.camera().width(), self.camera().height()) {
+        let camera = self.camera_of(keyframe.session);
+        if size != (camera.width(), camera.height()) {
             return Err(self.complaint.usage(format!(
                 "the image of keyframe {id} has {}x{} pixels, the map's camera {}x{}",
                 size.0,
                 size.1,
-                self.camera().width(),
-                self.camera().height()
+                camera.width(),
+                camera.height()
             )));
         }
-        self.store(keyframe, &image::encode(image)?, edges)
+        let number = self.numbered_from.get(&keyframe.session).and_then(|first| id.checked_sub(*first));
+        self.store(keyframe, number, &image::encode(image)?, edges)
+    }
+
+    /// Adds a keyframe with the number that its robot gave it and its image as that robot's map
+    /// has it.
+    ///
+    /// Fails if the id has been used before, the image cannot be decoded or does not have the size
+    /// of the session's camera, or a pose is not finite.
+    pub fn add_numbered_keyframe(
+        &mut self,
+        keyframe: &MapKeyframe,
+        number: u64,
+        image: &StoredImage,
+        edges: &[MapEdge],
+    ) -> Result<()> {
+        let camera = self.camera_of(keyframe.session);
+        image::decode(image, (camera.width(), camera.height()))
+            .map_err(|why| self.complaint.usage(format!("the image of keyframe {} {why}", keyframe.id.0)))?;
+        self.store(keyframe, Some(number), image, edges)
+    }
+
+    /// The number that a keyframe's robot gave it; `None` where it has none.
+    pub fn number_of(&self, keyframe: KeyframeId) -> Result<Option<u64>> {
+        origin::number_of(&self.connection, keyframe).while_reading(&self.complaint)
     }
 
     /// Adds a keyframe with the image that another map of the same camera has under `there`, copied
@@ -75,10 +101,16 @@ impl MapFile {
         there: KeyframeId,
         edges: &[MapEdge],
     ) -> Result<()> {
-        self.store(keyframe, &other.stored_image(there)?, edges)
+        self.store(keyframe, None, &other.stored_image(there)?, edges)
     }
 
-    fn store(&mut self, keyframe: &MapKeyframe, image: &StoredImage, edges: &[MapEdge]) -> Result<()> {
+    fn store(
+        &mut self,
+        keyframe: &MapKeyframe,
+        number: Option<u64>,
+        image: &StoredImage,
+        edges: &[MapEdge],
+    ) -> Result<()> {
         let whole = [&keyframe.pose, &keyframe.odometry_pose].into_iter().all(is_pose)
             && keyframe.time_s.is_finite()
             && keyframe.covariance.iter().all(|value| value.is_finite());
@@ -89,6 +121,9 @@ impl MapFile {
         let transaction = self.connection.transaction().while_writing(&self.complaint)?;
         insert(&transaction, keyframe, image)
             .and_then(|()| edges::insert(&transaction, edges))
+            .and_then(|()| {
+                number.map_or(Ok(()), |number| origin::write_number(&transaction, keyframe.id, number))
+            })
             .and_then(|()| transaction.commit())
             .while_writing(&self.complaint)
     }
@@ -163,6 +198,7 @@ impl MapFile {
                     statement.execute([keyframe.0])?;
                 }
             }
+            origin::remove(&transaction, gone)?;
             edges::insert(&transaction, edges)?;
             set_extent(&transaction)?;
             transaction.commit()
@@ -207,12 +243,26 @@ impl MapFile {
 impl KeyframeImages for MapFile {
     fn load(&mut self, keyframe: KeyframeId) -> Result<KeyframeImage> {
         let stored = self.stored_image(keyframe)?;
-        image::decode(&stored, (self.camera().width(), self.camera().height()))
+        image::decode(&stored, self.image_size(keyframe)?)
             .map_err(|why| self.complaint.damage(format!("the image of keyframe {} {why}", keyframe.0)))
     }
 }
 
 impl MapFile {
+    /// Width and height of a keyframe's image: those of its session's camera.
+    fn image_size(&self, keyframe: KeyframeId) -> Result<(usize, usize)> {
+        let session: Option<u32> = match self.other_cameras().is_empty() {
+            true => None,
+            false => self
+                .connection
+                .prepare_cached("SELECT session FROM keyframes WHERE id = ?1")
+                .and_then(|mut statement| statement.query_row([keyframe.0], |row| row.get(0)).optional())
+                .while_reading(&self.complaint)?,
+        };
+        let camera = session.map_or(self.camera(), |session| self.camera_of(session));
+        Ok((camera.width(), camera.height()))
+    }
+
     pub(crate) fn stored_image(&self, keyframe: KeyframeId) -> Result<StoredImage> {
         self.connection
             .prepare_cached(

@@ -1,5 +1,6 @@
 //! The lever arm of a map's rig: a table of its own, which only maps with a lever arm have.
 
+use crate::schema;
 use odograph::camera::LeverArm;
 use rusqlite::{Connection, OptionalExtension, params};
 
@@ -8,12 +9,7 @@ const TABLE: &str = "CREATE TABLE odograph_lever_arm (id INTEGER PRIMARY KEY CHE
 
 /// Writes the table.
 pub(crate) fn write(connection: &Connection, arm: &LeverArm) -> rusqlite::Result<()> {
-    connection.execute(TABLE, [])?;
-    connection.execute(
-        "INSERT INTO gpkg_extensions VALUES ('odograph_lever_arm', NULL, 'odograph_map', 'docs/map_file.md of odograph', \
-         'write-only')",
-        [],
-    )?;
+    schema::make_further(connection, "odograph_lever_arm", TABLE)?;
     connection.execute(
         "INSERT INTO odograph_lever_arm VALUES (1, ?1, ?2, ?3)",
         params![arm.x_m, arm.y_m, arm.z_m],
@@ -23,14 +19,7 @@ pub(crate) fn write(connection: &Connection, arm: &LeverArm) -> rusqlite::Result
 
 /// Reads it; `None` where there is no such table.
 pub(crate) fn read(connection: &Connection) -> rusqlite::Result<Option<LeverArm>> {
-    let there: Option<String> = connection
-        .query_row(
-            "SELECT sql FROM sqlite_schema WHERE type = 'table' AND name = 'odograph_lever_arm'",
-            [],
-            |row| row.get(0),
-        )
-        .optional()?;
-    if there.as_deref() != Some(TABLE) {
+    if !schema::has_further(connection, "odograph_lever_arm", TABLE)? {
         return Ok(None);
     }
     connection

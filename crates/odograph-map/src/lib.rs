@@ -5,6 +5,7 @@
 //! returns, and a program that is killed loses at most the keyframe being written. Map files are
 //! untrusted input: everything read is validated. `docs/map_file.md` describes the tables.
 
+mod cameras;
 mod claim;
 mod complaint;
 mod edges;
@@ -17,6 +18,8 @@ mod keyframes;
 mod lever_arm;
 mod mosaic;
 mod numbers;
+mod origin;
+mod outbox;
 mod paths;
 mod pose_columns;
 mod repair;
@@ -27,7 +30,10 @@ pub use claim::MapClaim;
 pub use file::{MapFile, Session};
 pub use frames::FrameImages;
 pub use geotiff::GeoTiff;
+pub use image::StoredImage;
 pub use mosaic::MosaicLayer;
+pub use origin::{SessionOrigin, check_name};
+pub use outbox::{Outbox, OutgoingRecord};
 pub use paths::{KeyframeMove, PathFrame, corrected_path};
 pub use repair::{Repair, repair};
 pub use thinning::Thinning;

@@ -11,7 +11,7 @@ use crate::keyframes::{self, is_pose};
 use crate::numbers::symmetric_from_bytes;
 use crate::paths::{self, PathFrame};
 use crate::thinning::edges_without;
-use crate::{complaint::WithContext, schema};
+use crate::{cameras, complaint::WithContext, origin, schema};
 use odograph::error::{Error, Result};
 use odograph::ground_map::{GroundMap, KeyframeImages, MapKeyframe};
 use odograph::keyframe::KeyframeId;
@@ -112,7 +112,13 @@ fn readable(source: &mut MapFile, keep_going: &mut dyn FnMut() -> bool) -> Resul
         lost.extend(missing);
     }
     lost.extend(without_image.iter().copied());
-    let map = GroundMap { camera: source.camera().clone(), rig: *source.rig(), keyframes, edges };
+    let map = GroundMap {
+        camera: source.camera().clone(),
+        rig: *source.rig(),
+        other_cameras: source.other_cameras().clone(),
+        keyframes,
+        edges,
+    };
     let edges = edges_without(&map, &without_image);
     let mut keyframes = map.keyframes;
     keyframes.retain(|keyframe| !without_image.contains(&keyframe.id));
@@ -147,16 +153,28 @@ fn write(
     keep_going: &mut dyn FnMut() -> bool,
 ) -> Result<usize> {
     let complaint = file.complaint.clone();
+    // Without readable origins the sessions have none.
+    let origins = origin::read(&source.connection, &complaint).unwrap_or_default();
     let transaction = file.connection.transaction().while_writing(&complaint)?;
     for (id, name) in sessions {
         transaction
             .execute("INSERT INTO odograph_session VALUES (?1, ?2)", params![id, name])
             .while_writing(&complaint)?;
+        if let Some(mounted) = map.other_cameras.get(id) {
+            cameras::write_of_session(&transaction, *id, mounted).while_writing(&complaint)?;
+        }
+        if let Some(origin) = origins.get(id) {
+            origin::write(&transaction, *id, origin).while_writing(&complaint)?;
+        }
     }
     for keyframe in &map.keyframes {
         go_on(keep_going)?;
         let image = source.stored_image(keyframe.id)?;
         keyframes::insert(&transaction, keyframe, &image).while_writing(&complaint)?;
+        let number = origin::number_of(&source.connection, keyframe.id).unwrap_or_default();
+        if let Some(number) = number.filter(|_| origins.contains_key(&keyframe.session)) {
+            origin::write_number(&transaction, keyframe.id, number).while_writing(&complaint)?;
+        }
     }
     edges::insert(&transaction, &map.edges).while_writing(&complaint)?;
     let mut frames = 0;

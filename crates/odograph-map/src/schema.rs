@@ -10,7 +10,10 @@ use std::path::Path;
 
 /// Schema version. It increases with every change that a program for the previous version cannot
 /// read.
-pub(crate) const SCHEMA_VERSION: i64 = 1;
+const SCHEMA_VERSION: i64 = 1;
+
+/// Schema version of maps with sessions of several cameras.
+const VERSION_OF_SEVERAL_CAMERAS: i64 = 2;
 
 /// Tables of a GeoPackage with features and tiles (clauses 1.1, 2.1, 2.2, 2.3).
 const GEOPACKAGE_TABLES: [&str; 6] = [
@@ -236,12 +239,41 @@ pub(crate) fn check_version(connection: &Connection, path: &Path) -> Result<()> 
     let version: i64 = connection
         .query_row("SELECT schema_version FROM odograph_map WHERE id = 1", [], |row| row.get(0))
         .while_reading(&complaint)?;
-    if version != SCHEMA_VERSION {
+    if !(SCHEMA_VERSION..=VERSION_OF_SEVERAL_CAMERAS).contains(&version) {
         return Err(complaint.input(format!(
-            "the map has version {version} of its tables and this program reads version {SCHEMA_VERSION}; use the program that wrote it, \
+            "the map has version {version} of its tables and this program reads versions {SCHEMA_VERSION} and {VERSION_OF_SEVERAL_CAMERAS}; \
+             use the program that wrote it, \
              or make the map again"
         )));
     }
+    Ok(())
+}
+
+/// Makes a table that only some maps have, unless it is there.
+pub(crate) fn make_further(connection: &Connection, name: &str, sql: &str) -> rusqlite::Result<()> {
+    if has_further(connection, name, sql)? {
+        return Ok(());
+    }
+    connection.execute(sql, [])?;
+    connection.execute(
+        "INSERT INTO gpkg_extensions VALUES (?1, NULL, 'odograph_map', 'docs/map_file.md of odograph', 'write-only')",
+        [name],
+    )?;
+    Ok(())
+}
+
+/// Whether a map has a table that only some have, exactly as we make it.
+pub(crate) fn has_further(connection: &Connection, name: &str, sql: &str) -> rusqlite::Result<bool> {
+    let there: Option<String> = connection
+        .prepare_cached("SELECT sql FROM sqlite_schema WHERE type = 'table' AND name = ?1")?
+        .query_row([name], |row| row.get(0))
+        .optional()?;
+    Ok(there.as_deref() == Some(sql))
+}
+
+/// Marks a map as one that programs for a single camera cannot read.
+pub(crate) fn mark_several_cameras(connection: &Connection) -> rusqlite::Result<()> {
+    connection.execute("UPDATE odograph_map SET schema_version = ?1", [VERSION_OF_SEVERAL_CAMERAS])?;
     Ok(())
 }
 

@@ -230,6 +230,13 @@ impl RunBuilder {
         self
     }
 
+    /// Name of the robot: the session has an origin in the map then, and can be sent to a site.
+    #[must_use]
+    pub fn robot(mut self, name: impl Into<String>) -> Self {
+        self.output.robot = Some(name.into());
+        self
+    }
+
     /// A bag of ROS 2 (an MCAP file) to write: poses with covariance, transforms and diagnostics.
     #[must_use]
     pub fn bag(mut self, path: impl Into<PathBuf>) -> Self {

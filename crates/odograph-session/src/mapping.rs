@@ -4,7 +4,7 @@ use crate::files;
 use crate::folder::OutputFolder;
 use crate::kept_frames::KeptFrames;
 use crate::observer::Observer;
-use crate::output::MapUse;
+use crate::output::RunOutput;
 use crate::plan::RunPlan;
 use crate::statistics::{LoopStatistics, StageTime};
 use crate::timings::Timings;
@@ -12,7 +12,7 @@ use odograph::camera::{Camera, Rig};
 use odograph::error::{Error, Result};
 use odograph::geometry::{GroundPoint, GroundPose};
 use odograph::georeference::Anchor;
-use odograph::ground_map::{KeyframeImage, KeyframeImages, MapKeyframe};
+use odograph::ground_map::{KeyframeImage, KeyframeImages, MapKeyframe, MountedCamera};
 use odograph::ground_map::{KeyframeStore, MemoryImages};
 use odograph::keyframe::{EdgeKind, KeyframeId, MapEdge};
 use odograph::mosaic::Mosaic;
@@ -41,7 +41,8 @@ const MAX_OLD: usize = 4;
 impl Mapping {
     /// Opens the map to be continued, or creates a new one. Fails where the file is not a map of
     /// this camera.
-    pub fn new(plan: &RunPlan, folder: &OutputFolder, map: &MapUse) -> Result<Self> {
+    pub fn new(plan: &RunPlan, folder: &OutputFolder, output: &RunOutput) -> Result<Self> {
+        let map = &output.map;
         let path = map.path().map_or_else(|| folder.path().join("map.gpkg"), Path::to_owned);
         let continued = map.path().is_some() && MapFile::is_there(&path);
         let claim = match (map.is_read_only(), folder.claim_on(&path)) {
@@ -59,6 +60,7 @@ impl Mapping {
             camera: global.clone(),
             rig: plan.rig,
             source: plan.source.path.clone(),
+            robot: output.robot.clone(),
             session: 0,
             kept: map.is_read_only().then(MemoryImages::default),
         };
@@ -79,7 +81,7 @@ impl Mapping {
             file.session = if map.is_read_only() {
                 there.sessions()?.iter().map(|session| session.id + 1).max().unwrap_or(0)
             } else {
-                there.begin_session(&plan.source.path)?
+                file.begin_session(&mut there)?
             };
             file.file = Some(there);
             Mapper::continuing(old, &plan.odometry, plan.slam, file.session, first)
@@ -343,6 +345,7 @@ struct GrowingFile {
     camera: Camera,
     rig: Rig,
     source: String,
+    robot: Option<String>,
     session: u32,
     /// The new keyframes, where the file is not to be written.
     kept: Option<MemoryImages>,
@@ -355,12 +358,23 @@ impl GrowingFile {
                 claim.remove_map()?;
             }
             let mut file = MapFile::create_claimed(claim.clone(), &self.camera, &self.rig)?;
-            self.session = file.begin_session(&self.source)?;
+            self.session = self.begin_session(&mut file)?;
             self.file = Some(file);
         }
         match &mut self.file {
             Some(file) => Ok(file),
             None => Err(Error::output("the map file is not open")),
+        }
+    }
+
+    fn begin_session(&self, file: &mut MapFile) -> Result<u32> {
+        match &self.robot {
+            // What a robot sends from here is with its own mount.
+            Some(robot) => {
+                let mounted = MountedCamera { camera: self.camera.clone(), rig: self.rig };
+                file.begin_session_by(robot, &self.source, Some(&mounted))
+            }
+            None => file.begin_session(&self.source),
         }
     }
 

@@ -39,6 +39,8 @@ pub(crate) struct RunOutput {
     pub folder: Option<PathBuf>,
     pub force: bool,
     pub map: MapUse,
+    /// Name of the robot that runs.
+    pub robot: Option<String>,
     /// A bag of ROS 2 to write, an MCAP file.
     pub bag: Option<PathBuf>,
     /// `None`: as many as are useful.
@@ -49,7 +51,15 @@ pub(crate) struct RunOutput {
 
 impl Default for RunOutput {
     fn default() -> Self {
-        Self { folder: None, force: false, map: MapUse::New, bag: None, threads: None, least_frames: 2 }
+        Self {
+            folder: None,
+            force: false,
+            map: MapUse::New,
+            robot: None,
+            bag: None,
+            threads: None,
+            least_frames: 2,
+        }
     }
 }
 

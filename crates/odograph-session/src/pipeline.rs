@@ -98,7 +98,7 @@ pub fn track(
 ) -> Result<Ended> {
     let mut odometry = plan.odometry()?;
     odometry.record_keyframes();
-    let mapping = Mapping::new(plan, folder, &output.map)?;
+    let mapping = Mapping::new(plan, folder, output)?;
     let views = MosaicFrames::new(&plan.camera, folder.path());
     let mut tracking = Tracking {
         odometry,

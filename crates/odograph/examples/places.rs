@@ -270,6 +270,7 @@ fn kidnapped(name: &str, seed: u64, area_m2: f64) -> Result<()> {
     let mut map = GroundMap {
         camera: scene.camera.clone(),
         rig: Rig::level(HEIGHT_M),
+        other_cameras: Default::default(),
         keyframes: Vec::new(),
         edges: Vec::new(),
     };

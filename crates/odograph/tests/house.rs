@@ -154,13 +154,14 @@ fn a_module_imports_only_modules_listed_above_it() {
 }
 
 /// The crates of the workspace.
-const CRATES: [&str; 11] = [
+const CRATES: [&str; 12] = [
     "odograph",
     "odograph-calibration",
     "odograph-simulation",
     "odograph-video",
     "odograph-map",
     "odograph-live",
+    "odograph-site",
     "odograph-session",
     "odograph-report",
     "odograph-cli",
@@ -189,13 +190,14 @@ fn the_modules_of_a_room_import_each_other_in_no_circle() {
 }
 
 /// Crates whose rooms have their own code in `room/mod.rs`, not in `room.rs` beside `room/`.
-const WITH_MOD_FILES: [&str; 10] = [
+const WITH_MOD_FILES: [&str; 11] = [
     "odograph",
     "odograph-calibration",
     "odograph-simulation",
     "odograph-video",
     "odograph-map",
     "odograph-live",
+    "odograph-site",
     "odograph-session",
     "odograph-report",
     "odograph-gate",
@@ -237,10 +239,10 @@ fn libraries_print_nothing_read_no_clock_and_open_no_connection() {
     }
 }
 
-/// These need clocks, and the live library network connections; neither prints.
+/// These need clocks, and two of them network connections; none prints.
 #[test]
-fn the_session_and_live_libraries_print_nothing() {
-    for name in ["odograph-session", "odograph-live"] {
+fn the_session_live_and_site_libraries_print_nothing() {
+    for name in ["odograph-session", "odograph-live", "odograph-site"] {
         check_crate(name, |_, shown, text| forbidden_words(&NOT_IN_A_LIBRARY[..5], shown, text));
     }
 }

@@ -16,5 +16,6 @@ pub mod map;
 pub mod profile;
 pub mod run;
 pub mod simulate;
+pub mod site;
 pub mod undistort;
 pub mod view;

@@ -36,6 +36,7 @@ pub enum AccessVerdict {
 }
 
 impl Access {
+    /// Requires a token; without one, that the client is on this machine.
     pub fn new(token: Option<String>) -> Self {
         Self { token }
     }
@@ -45,6 +46,7 @@ impl Access {
         format!("{COOKIE}={}; Path=/; HttpOnly; SameSite=Strict", self.token.as_deref().unwrap_or_default())
     }
 
+    /// Decides about a request.
     pub fn judge(&self, request: &Request) -> AccessVerdict {
         let Some(token) = &self.token else {
             // Without a token only this machine is served. A foreign page can make a local browser

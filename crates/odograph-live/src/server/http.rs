@@ -7,17 +7,20 @@ use std::time::Duration;
 
 /// Maximum length of a request's header section, bytes.
 const MOST_HEAD: usize = 8 << 10;
-/// Maximum length of a request's body, bytes.
+/// Maximum length of a request's body unless the server admits more, bytes.
 const MOST_BODY: usize = 4 << 10;
 /// Time limit for a complete request, from the previous response or from the start of the
 /// connection.
 const REQUEST_PATIENCE: Duration = Duration::from_secs(8);
+/// Time limit for a body that is longer than that.
+const BODY_PATIENCE: Duration = Duration::from_secs(60);
 /// Time limit for sending a response that is held in memory.
 pub const ANSWER_PATIENCE: Duration = Duration::from_secs(15);
 
 /// A valid request.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Request {
+    /// The method.
     pub method: Method,
     /// Without the query.
     pub path: String,
@@ -25,14 +28,20 @@ pub struct Request {
     pub query: String,
     /// Header names are in lower case.
     headers: Vec<(String, String)>,
+    /// The body.
     pub body: Vec<u8>,
+    /// Whether the client wants to send further requests.
     pub keep_alive: bool,
 }
 
+/// The methods that are answered.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum Method {
+    /// Reads.
     Get,
+    /// Reads without the body.
     Head,
+    /// Changes.
     Post,
 }
 
@@ -59,12 +68,14 @@ impl Request {
 }
 
 /// Reads requests from a connection.
+#[derive(Debug)]
 pub struct RequestReader {
     stream: Deadlined,
     buffer: Vec<u8>,
 }
 
 impl RequestReader {
+    /// A reader of a new connection.
     pub fn new(stream: TcpStream) -> Self {
         Self { stream: Deadlined::new(stream, REQUEST_PATIENCE), buffer: Vec::new() }
     }
@@ -80,7 +91,23 @@ impl RequestReader {
     }
 
     /// The next request; `None` if the client closed the connection or sent nothing in time.
+    ///
+    /// # Errors
+    /// If it is invalid, incomplete, or longer than any that is answered.
+    #[allow(clippy::should_implement_trait)] // a refusal ends the connection, not an iteration
     pub fn next(&mut self) -> Result<Option<Request>, HttpRefusal> {
+        self.next_admitted(&|_| Ok(MOST_BODY))
+    }
+
+    /// As [`RequestReader::next`]; `admit` sees the request without its body, and refuses it or
+    /// says how long its body may be, before any of that is read.
+    ///
+    /// # Errors
+    /// As [`RequestReader::next`], and what `admit` refuses.
+    pub fn next_admitted(
+        &mut self,
+        admit: &dyn Fn(&Request) -> Result<usize, HttpRefusal>,
+    ) -> Result<Option<Request>, HttpRefusal> {
         self.stream.allow(REQUEST_PATIENCE);
         let (mut request, head_length, body_length) = loop {
             match parse_head(&self.buffer)? {
@@ -98,6 +125,12 @@ impl RequestReader {
                 };
             }
         };
+        if body_length > admit(&request)? {
+            return Err(HttpRefusal(413, "Content Too Large"));
+        }
+        if body_length > MOST_BODY {
+            self.stream.allow(BODY_PATIENCE);
+        }
         while self.buffer.len() < head_length + body_length {
             if !self.read_more(head_length + body_length)? {
                 return Err(HttpRefusal(408, "Request Timeout"));
@@ -164,9 +197,6 @@ fn parse_head(bytes: &[u8]) -> Result<Option<(Request, usize, usize)>, HttpRefus
         [(_, value)] => value.parse::<usize>().map_err(|_| HttpRefusal(400, "Bad Request"))?,
         _ => return Err(HttpRefusal(400, "Bad Request")),
     };
-    if body_length > MOST_BODY {
-        return Err(HttpRefusal(413, "Content Too Large"));
-    }
     Ok(Some((request, length, body_length)))
 }
 
@@ -181,23 +211,32 @@ pub(super) fn read_head(bytes: &[u8]) {
 /// An HTTP response.
 #[derive(Debug, Default)]
 pub struct Answer {
+    /// Status code.
     pub status: u16,
+    /// Reason phrase.
     pub reason: &'static str,
+    /// Media type of the body.
     pub content_type: &'static str,
+    /// Further headers.
     pub headers: Vec<(&'static str, String)>,
+    /// The body.
     pub body: Vec<u8>,
 }
 
 impl Answer {
+    /// A successful response.
     pub fn ok(content_type: &'static str, body: impl Into<Vec<u8>>) -> Self {
         Self { status: 200, reason: "OK", content_type, headers: Vec::new(), body: body.into() }
     }
 
+    /// A response that says why a request is refused.
     pub fn refusal(HttpRefusal(status, reason): HttpRefusal) -> Self {
         let body = format!("{reason}\n").into_bytes();
         Self { status, reason, content_type: "text/plain; charset=utf-8", headers: Vec::new(), body }
     }
 
+    /// The same with a further header.
+    #[must_use]
     pub fn with(mut self, name: &'static str, value: impl Into<String>) -> Self {
         self.headers.push((name, value.into()));
         self
@@ -220,6 +259,9 @@ impl Answer {
     }
 
     /// Sends the response within the time limit.
+    ///
+    /// # Errors
+    /// If the client does not take it.
     pub fn write(&self, stream: &mut Deadlined, request: &Request) -> io::Result<()> {
         stream.allow(ANSWER_PATIENCE);
         let mut bytes = self.head(self.body.len() as u64, request.keep_alive).into_bytes();
@@ -228,6 +270,27 @@ impl Answer {
         }
         stream.write_all(&bytes)
     }
+}
+
+/// Responds to an invalid request and ends the connection.
+///
+/// # Errors
+/// If the client does not take the response.
+pub fn refuse(mut stream: Deadlined, refusal: HttpRefusal) -> io::Result<()> {
+    let answer = Answer::refusal(refusal);
+    stream.allow(Duration::from_secs(2));
+    let mut bytes = answer.head(answer.body.len() as u64, false).into_bytes();
+    bytes.extend_from_slice(&answer.body);
+    stream.write_all(&bytes)?;
+    // Closing a socket with unread bytes would reset it, and the client might lose the response.
+    let mut rest = [0; 1 << 14];
+    stream.allow(Duration::from_millis(500));
+    for _ in 0..16 {
+        if !stream.read(&mut rest).is_ok_and(|read| read > 0) {
+            break;
+        }
+    }
+    Ok(())
 }
 
 #[cfg(test)]
@@ -256,7 +319,6 @@ mod tests {
         assert_eq!(refused("BREW / HTTP/1.1\r\n\r\n"), Some(405));
         assert_eq!(refused("\x00\x01\x02\r\n\r\n"), Some(400));
         assert_eq!(refused("GET / HTTP/9.9\r\n\r\n"), Some(400));
-        assert_eq!(refused("POST / HTTP/1.1\r\nContent-Length: 99999999\r\n\r\n"), Some(413));
         assert_eq!(refused("POST / HTTP/1.1\r\nContent-Length: -1\r\n\r\n"), Some(400));
         assert_eq!(refused("POST / HTTP/1.1\r\nContent-Length: 1\r\nContent-Length: 2\r\n\r\n"), Some(400));
         assert_eq!(refused("POST / HTTP/1.1\r\nTransfer-Encoding: chunked\r\n\r\n"), Some(411));

@@ -10,8 +10,6 @@ use odograph::mosaic::MosaicSquare;
 use serde_json::json;
 use std::fs::File;
 use std::io::{self, Read, Write};
-use std::net::TcpStream;
-use std::time::Duration;
 
 /// What follows a response.
 pub enum Next {
@@ -67,30 +65,6 @@ pub fn answer(shared: &ServerState, request: &Request, stream: &mut Deadlined) -
     };
     answer.write(stream, request)?;
     Ok(Next::Request)
-}
-
-/// Responds to an invalid request.
-pub fn refuse(mut stream: Deadlined, refusal: HttpRefusal) -> io::Result<()> {
-    let answer = Answer::refusal(refusal);
-    stream.allow(Duration::from_secs(2));
-    let mut bytes = answer.head(answer.body.len() as u64, false).into_bytes();
-    bytes.extend_from_slice(&answer.body);
-    stream.write_all(&bytes)?;
-    // Closing a socket with unread bytes would reset it, and the client might lose the response.
-    let mut rest = [0; 1 << 14];
-    stream.allow(Duration::from_millis(500));
-    for _ in 0..16 {
-        if !stream.read(&mut rest).is_ok_and(|read| read > 0) {
-            break;
-        }
-    }
-    Ok(())
-}
-
-/// Refuses a connection because there are too many, without blocking.
-pub fn refuse_for_want_of_room(mut stream: TcpStream) {
-    let full = b"HTTP/1.1 503 Service Unavailable\r\nContent-Length: 0\r\nRetry-After: 5\r\nConnection: close\r\n\r\n";
-    let _ = stream.set_nonblocking(true).and_then(|()| stream.write_all(full));
 }
 
 fn get(shared: &ServerState, path: &str) -> Answer {

@@ -8,6 +8,7 @@ use crate::complaint::WithContext;
 use crate::file::MapFile;
 use odograph::error::Result;
 use odograph::geometry::Placement;
+use odograph::ground_map::GroundMap;
 use odograph::mosaic::{MOSAIC_TILE_PX, MapMosaic, Mosaic, MosaicPicture, MosaicSquare, MosaicTile};
 use pyramid::TilePyramid;
 use rusqlite::OptionalExtension;
@@ -67,7 +68,18 @@ impl MapFile {
         ground_resolution_m: Option<f64>,
         progress: &mut dyn FnMut(usize) -> bool,
     ) -> Result<bool> {
-        let Some(rendering) = MapMosaic::new(&self.map()?, self, ground_resolution_m)? else {
+        let map = self.map()?;
+        self.render_mosaic_of(&map, ground_resolution_m, progress)
+    }
+
+    /// As [`MapFile::render_mosaic`], of some of the map's keyframes: those in `part`.
+    pub fn render_mosaic_of(
+        &mut self,
+        part: &GroundMap,
+        ground_resolution_m: Option<f64>,
+        progress: &mut dyn FnMut(usize) -> bool,
+    ) -> Result<bool> {
+        let Some(rendering) = MapMosaic::new(part, self, ground_resolution_m)? else {
             return Ok(false);
         };
         self.all_or_nothing(|file| file.render_all(rendering, progress))

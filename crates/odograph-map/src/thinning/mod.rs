@@ -68,8 +68,11 @@ struct KeyframeCoverage {
 
 impl KeyframeCoverage {
     fn of(map: &GroundMap) -> Self {
-        let points: Vec<Vec<(f64, f64)>> =
-            map.keyframes.iter().map(|keyframe| shown(&map.camera, &keyframe.pose)).collect();
+        let points: Vec<Vec<(f64, f64)>> = map
+            .keyframes
+            .iter()
+            .map(|keyframe| shown(map.camera_of(keyframe.session), &keyframe.pose))
+            .collect();
         let mut widths: Vec<f64> = points.iter().map(|points| width(points)).collect();
         let side = median(&mut widths).map_or(1.0, |width| (width / CELLS).max(1e-6));
         let mut numbers = BTreeMap::new();

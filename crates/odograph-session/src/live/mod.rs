@@ -212,7 +212,7 @@ impl LiveRun {
         let lens_is_known = output.map.path().is_some_and(MapFile::is_there);
         let calibration = (plan.odometry.motion.model == MotionModel::Auto)
             .then(|| OnlineCalibration::new(&plan.camera, &plan.rig, lens_is_known));
-        let mapping = Mapping::new(&plan, &folder, &output.map)?;
+        let mapping = Mapping::new(&plan, &folder, &output)?;
         let recorder = Recorder::new(folder, &plan)?;
         let log = mcap.map(|path| McapLog::new(&path, &info.description, input.policy)).transpose()?;
         let ending = Ending {

@@ -12,6 +12,7 @@ use crate::geometry::{GroundPose, Sim2};
 use crate::keyframe::{KeyframeId, MapEdge};
 use crate::place_recognition::Signature;
 use nalgebra::Matrix6;
+use std::collections::BTreeMap;
 
 /// A frame whose image is part of the map.
 #[derive(Debug, Clone, PartialEq)]
@@ -43,15 +44,43 @@ impl MapKeyframe {
     }
 }
 
+/// A camera and its mount at the start of a session.
+#[derive(Debug, Clone, PartialEq)]
+pub struct MountedCamera {
+    /// The camera.
+    pub camera: Camera,
+    /// Its mount.
+    pub rig: Rig,
+}
+
 /// A map without its images: enough to localize in it.
 #[derive(Debug, Clone, PartialEq)]
 pub struct GroundMap {
-    /// The camera that every keyframe was taken with.
+    /// The camera of every session without an entry in `other_cameras`.
     pub camera: Camera,
     /// Its mount at the start of the first session.
     pub rig: Rig,
+    /// The sessions that were made with another camera or mount, by session number.
+    pub other_cameras: BTreeMap<u32, MountedCamera>,
     /// The keyframes in order of their numbers; a thinned map lacks some numbers.
     pub keyframes: Vec<MapKeyframe>,
     /// The edges in order of their creation.
     pub edges: Vec<MapEdge>,
+}
+
+impl GroundMap {
+    /// The camera that the keyframes of a session were taken with.
+    pub fn camera_of(&self, session: u32) -> &Camera {
+        self.other_cameras.get(&session).map_or(&self.camera, |other| &other.camera)
+    }
+
+    /// The mount of a session's camera at its start.
+    pub fn rig_of(&self, session: u32) -> &Rig {
+        self.other_cameras.get(&session).map_or(&self.rig, |other| &other.rig)
+    }
+
+    /// Whether all keyframes were taken with the same camera; mounts may differ.
+    pub fn has_one_camera(&self) -> bool {
+        self.other_cameras.values().all(|other| other.camera == self.camera)
+    }
 }

@@ -5,7 +5,7 @@ use crate::geometry::GroundPose;
 use crate::geometry::pose_index::{HEADING, X, Y};
 use crate::keyframe::KeyframeId;
 use crate::keyframe::relative_pose::position_sigma_m;
-use crate::loop_closure::matching::Matcher;
+use crate::loop_closure::matching::{CameraPose, Matcher};
 use crate::pose_graph::{PoseGraph, Reach, Reached};
 use nalgebra::Vector4;
 
@@ -52,11 +52,11 @@ const MAX_UNCERTAIN_VIEWS: f64 = 0.1;
 const HOPELESS_VIEWS: f64 = 3.0;
 
 impl Prior {
-    pub fn new(reached: Reached, matcher: &Matcher, pose: &GroundPose) -> Self {
+    pub fn new(reached: Reached, matcher: &Matcher, here: &CameraPose) -> Self {
         let sigma_m = position_sigma_m(&reached.covariance);
-        let view_m = matcher.view_m(pose);
+        let view_m = matcher.view_m(here);
         let sigma_px =
-            (sigma_m + 0.5 * view_m * reached.covariance[(HEADING, HEADING)].sqrt()) / matcher.pixel_m(pose);
+            (sigma_m + 0.5 * view_m * reached.covariance[(HEADING, HEADING)].sqrt()) / matcher.pixel_m(here);
         let strength = if reached.across_gap || sigma_m > MAX_UNCERTAIN_VIEWS * view_m {
             Strength::Weak
         } else if 3.0 * sigma_px > SURE_PX {
@@ -68,19 +68,19 @@ impl Prior {
     }
 }
 
-/// The older keyframes that probably overlap a new one and whose position is certain enough,
-/// largest overlap first. `known` gives height, roll and pitch of a keyframe; `reach` starts at the
-/// new one.
+/// The older keyframes that probably overlap a new one and whose position is certain enough, with
+/// the largest overlap first. `known` gives camera, height, roll and pitch of a keyframe; `reach`
+/// starts at the new one.
 pub fn candidates(
     graph: &PoseGraph,
     reach: &mut Reach<'_>,
     new: KeyframeId,
-    known: &dyn Fn(KeyframeId) -> Option<GroundPose>,
+    known: &dyn Fn(KeyframeId) -> Option<CameraPose>,
     matcher: &Matcher,
     config: &LoopClosureConfig,
 ) -> Vec<LoopCandidate> {
-    let (Some(here), Some(pose)) = (graph.pose(new), known(new)) else { return Vec::new() };
-    let view_m = matcher.view_m(&pose);
+    let (Some(here), Some(at)) = (graph.pose(new), known(new)) else { return Vec::new() };
+    let view_m = matcher.view_m(&at);
     let reach_m = 1.5 * view_m + 2.0 * MAX_UNCERTAIN_VIEWS * view_m;
     let near = |other: &GroundPose| (other.x_m - here.x_m).hypot(other.y_m - here.y_m) < reach_m;
     // With no keyframes nearby the graph is not searched.
@@ -101,12 +101,12 @@ pub fn candidates(
             continue;
         }
         let Some(other) = known(id) else { continue };
-        let prior = Prior::new(reached, matcher, &pose);
+        let prior = Prior::new(reached, matcher, &at);
         if prior.strength == Strength::Weak {
             continue;
         }
         let shown = shortened(&prior.reached.motion, 2.0 * sigma_m);
-        let overlap = matcher.overlap(&pose, &other, &shown);
+        let overlap = matcher.overlap(&at, &other, &shown);
         if overlap >= config.least_overlap {
             found.push(LoopCandidate { id, prior, overlap });
         }

@@ -18,22 +18,35 @@ use crate::place_recognition::{PlacesConfig, Signature};
 use nalgebra::{Matrix4, Matrix6, Vector4};
 use std::sync::Arc;
 
+/// Index of a camera of the map, in the order in which the matcher was told of them; 0 is that of
+/// the first session.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
+pub struct CameraIndex(usize);
+
+/// A pose, and the camera that is there.
+#[derive(Debug, Clone, Copy)]
+pub struct CameraPose {
+    pub camera: CameraIndex,
+    pub pose: GroundPose,
+}
+
 /// The query: a keyframe whose corners are searched for.
 #[derive(Debug)]
 pub struct Sought {
+    camera: CameraIndex,
     keyframe: Keyframe,
 }
 
 impl Sought {
-    /// Its signature for place recognition.
-    pub fn signature(&self, camera: &Camera, config: &PlacesConfig) -> Signature {
-        Signature::of(&self.keyframe.pyramid, camera, &self.keyframe.pose, config)
+    fn place(&self) -> CameraPose {
+        CameraPose { camera: self.camera, pose: self.keyframe.pose }
     }
 }
 
 /// The reference: a keyframe in whose image they are searched for.
 #[derive(Debug)]
 pub struct Pictured {
+    camera: CameraIndex,
     pyramid: Pyramid,
     /// Height, roll and pitch as measured; the position is irrelevant.
     pose: GroundPose,
@@ -61,23 +74,48 @@ pub struct Guess {
 /// Registers keyframes with each other.
 #[derive(Debug)]
 pub struct Matcher {
+    cameras: Vec<MatcherCamera>,
+    config: OdometryConfig,
+    /// Mask of the static regions in the images of the camera that is mapping.
+    mask: Option<Arc<ImageMask>>,
+}
+
+/// What depends on the camera.
+#[derive(Debug)]
+struct MatcherCamera {
     camera: Camera,
     config: OdometryConfig,
     registration: CoarseRegistration,
     rays: [Option<Ray>; GRID * GRID],
-    /// Mask of the static regions in the images of this camera.
-    mask: Option<Arc<ImageMask>>,
 }
 
-impl Matcher {
-    pub fn new(camera: &Camera, config: &OdometryConfig) -> Self {
+impl MatcherCamera {
+    fn new(camera: &Camera, config: &OdometryConfig) -> Self {
         Self {
             camera: camera.clone(),
             config: config.for_camera(camera),
             registration: CoarseRegistration::new(camera),
             rays: image_grid(camera),
-            mask: None,
         }
+    }
+}
+
+impl Matcher {
+    pub fn new(camera: &Camera, config: &OdometryConfig) -> Self {
+        Self { cameras: vec![MatcherCamera::new(camera, config)], config: *config, mask: None }
+    }
+
+    /// The index of a camera; one that is not known yet is added.
+    pub fn index_of(&mut self, camera: &Camera) -> CameraIndex {
+        let known = self.cameras.iter().position(|known| known.camera == *camera);
+        CameraIndex(known.unwrap_or_else(|| {
+            self.cameras.push(MatcherCamera::new(camera, &self.config));
+            self.cameras.len() - 1
+        }))
+    }
+
+    fn of(&self, camera: CameraIndex) -> &MatcherCamera {
+        &self.cameras[camera.0]
     }
 
     /// Sets the mask of static regions, which are no evidence of a place.
@@ -85,33 +123,41 @@ impl Matcher {
         self.mask = mask;
     }
 
+    /// The signature of a query for place recognition.
+    pub fn signature(&self, sought: &Sought, config: &PlacesConfig) -> Signature {
+        let Sought { camera, keyframe } = sought;
+        Signature::of(&keyframe.pyramid, &self.of(*camera).camera, &keyframe.pose, config)
+    }
+
     /// Prepares a query keyframe with its height, roll and pitch.
-    pub fn sought(&self, image: GrayImage, pose: &GroundPose) -> Sought {
+    pub fn sought(&self, image: GrayImage, at: &CameraPose) -> Sought {
         let pyramid = Pyramid::new(image, self.config.flow.levels);
-        let here = at_origin(pose);
+        let here = at_origin(&at.pose);
         Sought {
+            camera: at.camera,
             keyframe: Keyframe::new(
                 pyramid,
                 here,
                 Matrix6::zeros(),
                 self.mask.as_ref(),
-                &self.camera,
+                &self.of(at.camera).camera,
                 &self.config.detection,
             ),
         }
     }
 
     /// Prepares a reference keyframe with its height, roll and pitch.
-    pub fn pictured(&self, image: GrayImage, pose: &GroundPose) -> Pictured {
+    pub fn pictured(&self, image: GrayImage, at: &CameraPose) -> Pictured {
         let pyramid = Pyramid::new(image, self.config.flow.levels);
-        Pictured { pyramid, pose: at_origin(pose), view: None }
+        Pictured { camera: at.camera, pyramid, pose: at_origin(&at.pose), view: None }
     }
 
     /// The overlap: the share of a keyframe's view, with height, roll and pitch of `from`, that is
     /// in view of one with those of `to` at `motion`.
-    pub fn overlap(&self, from: &GroundPose, to: &GroundPose, motion: &Vector4<f64>) -> f64 {
-        let from = at_origin(from);
-        overlap(&from, &self.rays, &self.camera, &ViewingPose::new(self.placed(&from, to, motion)))
+    pub fn overlap(&self, from: &CameraPose, to: &CameraPose, motion: &Vector4<f64>) -> f64 {
+        let here = at_origin(&from.pose);
+        let there = ViewingPose::new(self.placed(&here, &to.pose, motion));
+        overlap(&here, &self.of(from.camera).rays, &self.of(to.camera).camera, &there)
     }
 
     /// The pose at `motion` from `from`, with roll and pitch of `to`. Its height is that of `to`
@@ -127,13 +173,14 @@ impl Matcher {
     }
 
     /// Metres on the ground that a pixel in the middle of an image covers.
-    pub fn pixel_m(&self, pose: &GroundPose) -> f64 {
-        pose.height_m / self.camera.focal_px().0
+    pub fn pixel_m(&self, at: &CameraPose) -> f64 {
+        at.pose.height_m / self.of(at.camera).camera.focal_px().0
     }
 
     /// The shorter side of the ground in view, metres.
-    pub fn view_m(&self, pose: &GroundPose) -> f64 {
-        self.pixel_m(pose) * self.camera.width().min(self.camera.height()) as f64
+    pub fn view_m(&self, at: &CameraPose) -> f64 {
+        let camera = &self.of(at.camera).camera;
+        self.pixel_m(at) * camera.width().min(camera.height()) as f64
     }
 
     /// Tracks a keyframe's corners into the image of another, predicted at `motion` with an error
@@ -147,7 +194,11 @@ impl Matcher {
     ) -> Option<LoopSighting> {
         let keyframe = &sought.keyframe;
         let prediction = self.placed(&keyframe.pose, &pictured.pose, motion);
-        let (camera, config) = (&self.camera, &self.config);
+        let MatcherCamera { camera, config, .. } = self.of(pictured.camera);
+        if pictured.camera != sought.camera {
+            // The tracker would make it with the camera of the image in which it looks.
+            keyframe.dense(&self.of(sought.camera).camera);
+        }
         // Height and tilt of both are known; the prior widens if the recording contradicts it.
         let learned = Learned::new(&prediction);
         let mut random = Random::new(0);
@@ -174,10 +225,10 @@ impl Matcher {
         let inlier_ratio = found.inlier_ratio(keyframe, camera);
         let inliers = found.estimate.inlier_count();
         let whole =
-            if found.agreement.is_none() { self.refined(keyframe, pictured, &found, &learned) } else { None };
+            if found.agreement.is_none() { self.refined(sought, pictured, &found, &learned) } else { None };
         let estimate = whole.unwrap_or(found.estimate);
         self.sighting(
-            keyframe,
+            sought,
             &estimate,
             (inliers, inlier_ratio),
             if still { UNMODELLED_PX } else { UNMODELLED_MOVING_PX },
@@ -189,21 +240,24 @@ impl Matcher {
     /// more certain, or if the dense registration contradicts them.
     fn refined(
         &self,
-        keyframe: &Keyframe,
+        sought: &Sought,
         pictured: &Pictured,
         found: &Measurement,
         learned: &Learned,
     ) -> Option<MotionEstimate> {
-        let (camera, motion) = (&self.camera, &self.config.motion);
+        let keyframe = &sought.keyframe;
+        let MatcherCamera { camera, config, .. } = self.of(pictured.camera);
+        let motion = &config.motion;
         let corners = &found.estimate;
         let spread = |estimate: &MotionEstimate| estimate.covariance[(0, 0)] + estimate.covariance[(1, 1)];
-        let pixel_m = self.pixel_m(&keyframe.pose);
+        let pixel_m = self.pixel_m(&sought.place());
         if spread(corners) < 2.0 * (UNMODELLED_PX * pixel_m).powi(2) {
             return None;
         }
         let image = DenseImage::new(pictured.pyramid.base()).without(self.mask.clone());
         let prior = learned.rig_prior.prior(&found.prediction, motion);
-        let whole = dense::refine(camera, keyframe.dense(camera), &image, &corners.pose, &prior, motion)?;
+        let reference = keyframe.dense(&self.of(sought.camera).camera);
+        let whole = dense::refine(camera, reference, &image, &corners.pose, &prior, motion)?;
         let off_m =
             (whole.estimate.pose.x_m - corners.pose.x_m).hypot(whole.estimate.pose.y_m - corners.pose.y_m);
         let is_significant = whole.score >= DenseEstimate::LEAST_SCORE
@@ -216,15 +270,16 @@ impl Matcher {
     /// The sighting of a keyframe, with the number and the share of its corners that were found.
     fn sighting(
         &self,
-        keyframe: &Keyframe,
+        sought: &Sought,
         estimate: &MotionEstimate,
         (inliers, inlier_ratio): (usize, f64),
         off_px: f64,
     ) -> Option<LoopSighting> {
+        let (keyframe, camera) = (&sought.keyframe, &self.of(sought.camera).camera);
         let pose = &estimate.pose;
         let off_px = off_px.powi(2);
-        let off_m2 = off_px * self.pixel_m(&keyframe.pose).powi(2);
-        let off_rad2 = off_px / (0.5 * self.camera.width().min(self.camera.height()) as f64).powi(2);
+        let off_m2 = off_px * self.pixel_m(&sought.place()).powi(2);
+        let off_rad2 = off_px / (0.5 * camera.width().min(camera.height()) as f64).powi(2);
         let unmodelled = Matrix4::from_diagonal(&Vector4::new(off_m2, off_m2, off_rad2, 0.0));
         let sighting = LoopSighting {
             motion: relative_motion(&keyframe.pose, pose),
@@ -244,9 +299,14 @@ impl Matcher {
         motion: &Vector4<f64>,
         heading_off_rad: f64,
     ) -> Vec<Guess> {
-        sought.keyframe.prepare_view(&self.registration);
+        if sought.camera != pictured.camera {
+            // Views of different cameras differ in size and resolution.
+            return Vec::new();
+        }
+        let registration = &self.of(sought.camera).registration;
+        sought.keyframe.prepare_view(registration);
         if pictured.view.is_none() {
-            pictured.view = self.registration.view(&pictured.pyramid, self.mask.as_deref(), &pictured.pose);
+            pictured.view = registration.view(&pictured.pyramid, self.mask.as_deref(), &pictured.pose);
         }
         let (Some(from), Some(to)) = (sought.keyframe.view(), &pictured.view) else { return Vec::new() };
         let options = CoarseOptions {
@@ -259,7 +319,7 @@ impl Matcher {
             motion: relative_motion(here, &hypothesis.pose(here, &pictured.pose)),
             score: hypothesis.score,
         };
-        self.registration.register(from, to, &options).into_iter().map(guess).collect()
+        registration.register(from, to, &options).into_iter().map(guess).collect()
     }
 }
 
@@ -316,8 +376,9 @@ mod tests {
             let (sin, cos) = (1.3 * turn).sin_cos();
             let heading_rad = 2.6 * turn;
             let there = GroundPose { x_m: here.x_m + 0.2 * cos, y_m: 0.2 * sin, heading_rad, ..here };
-            let (sought, pictured) =
-                (matcher.sought(picture(&here), &here), matcher.pictured(picture(&there), &there));
+            let at = |pose: GroundPose| CameraPose { camera: CameraIndex::default(), pose };
+            let sought = matcher.sought(picture(&here), &at(here));
+            let pictured = matcher.pictured(picture(&there), &at(there));
             let truth = relative_motion(&here, &there);
             let expected = truth + Vector4::new(0.004 * cos, -0.004 * sin, 0.006 * sin, 0.0);
             let found = matcher.find(&sought, &pictured, &expected, 8.0).expect("in view");

@@ -2,10 +2,10 @@
 
 use super::candidates::{Prior, Strength};
 use super::gate::{GATE, normalised_innovation_squared};
-use crate::geometry::{GroundPose, wrap_angle};
+use crate::geometry::wrap_angle;
 use crate::keyframe::KeyframeId;
 use crate::keyframe::relative_pose::{compose, inverse};
-use crate::loop_closure::matching::Matcher;
+use crate::loop_closure::matching::{CameraPose, Matcher};
 use crate::place_recognition::{PlaceHypothesis, PlaceIndex, Signature};
 use crate::pose_graph::{PoseGraph, Reach};
 use nalgebra::Vector4;
@@ -38,17 +38,19 @@ const RIVAL_SCORE: f64 = 0.6;
 
 /// The places that a new keyframe may show, best first: similar in appearance, not just behind it,
 /// and consistent with the graph. None if different places look alike and the graph does not
-/// decide. `reach` starts at the new keyframe; `None` if nothing connects it.
+/// decide. Keyframes of which `compared` is false are left out. `reach` starts at the new keyframe;
+/// `None` if nothing connects it.
 pub fn recognise(
     places: &PlaceIndex,
     signature: &Signature,
     graph: &PoseGraph,
     mut reach: Option<&mut Reach<'_>>,
-    new: (KeyframeId, &GroundPose),
+    new: (KeyframeId, &CameraPose),
     least_edges: usize,
     matcher: &Matcher,
+    compared: &dyn Fn(KeyframeId) -> bool,
 ) -> Vec<Recognised> {
-    let hypotheses = places.query(signature, MOST_PLACES + least_edges);
+    let hypotheses = places.query_among(signature, MOST_PLACES + least_edges, compared);
     let view_m = matcher.view_m(new.1);
     let mut found: Vec<(Recognised, &PlaceHypothesis)> = Vec::new();
     for hypothesis in &hypotheses {

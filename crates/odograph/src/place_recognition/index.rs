@@ -141,9 +141,19 @@ impl PlaceIndex {
     /// for each. All have geometrically consistent matches; [`PlaceHypothesis::is_sure`] says
     /// whether that is enough.
     pub fn query(&self, signature: &Signature, most: usize) -> Vec<PlaceHypothesis> {
+        self.query_among(signature, most, &|_| true)
+    }
+
+    /// As [`PlaceIndex::query`], among the keyframes of which `compared` is true.
+    pub fn query_among(
+        &self,
+        signature: &Signature,
+        most: usize,
+        compared: &dyn Fn(KeyframeId) -> bool,
+    ) -> Vec<PlaceHypothesis> {
         let query = Features::new(&signature.features, self.spot_m);
         let mut found: Vec<_> = self
-            .candidates(&query)
+            .candidates(&query, compared)
             .into_iter()
             .filter_map(|(slot, placing)| {
                 let slot = &self.slots[slot];
@@ -180,8 +190,9 @@ impl PlaceIndex {
     }
 
     /// The keyframes to verify, each with the motion that most of its matches vote for.
-    fn candidates(&self, query: &Features) -> Vec<(usize, Placing)> {
+    fn candidates(&self, query: &Features, compared: &dyn Fn(KeyframeId) -> bool) -> Vec<(usize, Placing)> {
         let mut matches = self.look_up(query);
+        matches.retain(|(number, ..)| self.slots[number.slot()].keyframe.is_some_and(compared));
         matches.sort_unstable();
         matches.dedup();
         // A single match is no evidence. The others are fetched before the first is examined, as in

@@ -1,14 +1,16 @@
 //! Loop closing: compares a new keyframe with older ones and decides which matches to accept.
 
 use super::Mapper;
+use super::mapper::ComparedKeyframes;
 use crate::error::Result;
 use crate::geometry::WithCovariance;
+use crate::geometry::pose_index::LN_SCALE;
 use crate::ground_map::KeyframeStore;
 use crate::keyframe::relative_pose::{compose, inverse, similarity};
 use crate::keyframe::{KeyframeId, MapEdge};
 use crate::loop_closure::candidates::{self, Strength};
 use crate::loop_closure::matching::{Pictured, Sought};
-use crate::loop_closure::recognition::recognise;
+use crate::loop_closure::recognition::{Recognised, recognise};
 use crate::loop_closure::{LoopClosure, verification};
 use nalgebra::{Matrix4, Vector4};
 
@@ -35,10 +37,8 @@ impl Mapper {
         // Both searches use the same shortest paths.
         let Some(mut reach) = self.graph.reach(new) else { return Ok(()) };
         let near = {
-            let compared = |id: KeyframeId| id == new || self.own_loops || !self.is_new(id);
-            let known = |id: KeyframeId| {
-                self.keyframe(id).filter(|_| compared(id)).map(|keyframe| keyframe.odometry_pose)
-            };
+            let compared = |id: KeyframeId| id == new || self.compares(new, id);
+            let known = |id: KeyframeId| self.seen_from(id).filter(|_| compared(id));
             candidates::candidates(&self.graph, &mut reach, new, &known, &self.matcher, &self.config)
         };
         let sure = near.iter().filter(|candidate| candidate.prior.strength == Strength::Sure);
@@ -52,7 +52,8 @@ impl Mapper {
         }
         let recognised = {
             let Some(keyframe) = self.keyframe(new) else { return Ok(()) };
-            let here = (new, &keyframe.odometry_pose);
+            let Some(at) = self.seen_from(new) else { return Ok(()) };
+            let here = (new, &at);
             let least = self.config.least_edges;
             recognise(
                 &self.places,
@@ -62,8 +63,10 @@ impl Mapper {
                 here,
                 least,
                 &self.matcher,
+                &|id| self.compares(new, id),
             )
         };
+        self.compare_scales(new, &recognised);
         for place in recognised.iter().take(self.config.comparisons) {
             let Some(pictured) = self.pictured(place.id, images)? else { continue };
             let closure =
@@ -90,9 +93,19 @@ impl Mapper {
         Ok(())
     }
 
+    /// Remembers how the metres of different robots compare where they recognised the same ground.
+    fn compare_scales(&mut self, new: KeyframeId, recognised: &[Recognised]) {
+        if self.compared != ComparedKeyframes::OtherSessions {
+            return;
+        }
+        // A place with few matches has no scale of its own.
+        let scales = recognised.iter().map(|place| (new, place.id, place.motion[LN_SCALE]));
+        self.scales.extend(scales.filter(|(.., ln_scale)| *ln_scale != 0.0));
+    }
+
     fn pictured(&self, id: KeyframeId, images: &mut dyn KeyframeStore) -> Result<Option<Pictured>> {
-        let Some(pose) = self.keyframe(id).map(|old| old.odometry_pose) else { return Ok(None) };
-        Ok(Some(self.matcher.pictured(images.load(id)?.gray, &pose)))
+        let Some(at) = self.seen_from(id) else { return Ok(None) };
+        Ok(Some(self.matcher.pictured(images.load(id)?.gray, &at)))
     }
 
     /// Accepts a match together with an earlier one that confirms it; otherwise keeps it as
@@ -119,11 +132,11 @@ impl Mapper {
     /// second is where it should be.
     fn agree(&self, first: &LoopClosure, second: &LoopClosure) -> bool {
         let (a, b) = (&first.edge, &second.edge);
-        let [Some(here), Some(there)] = [a.from, b.from].map(|id| self.keyframe(id).map(|k| k.odometry_pose))
-        else {
+        let [Some(at), Some(other)] = [a.from, b.from].map(|id| self.seen_from(id)) else {
             return false;
         };
-        let view_m = self.matcher.view_m(&here);
+        let view_m = self.matcher.view_m(&at);
+        let (here, there) = (at.pose, other.pose);
         if (here.x_m - there.x_m).hypot(here.y_m - there.y_m) < APART_VIEWS * view_m {
             return false;
         }

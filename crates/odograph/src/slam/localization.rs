@@ -7,6 +7,7 @@ use crate::ground_map::KeyframeImages;
 use crate::image::GrayImage;
 use crate::keyframe::KeyframeId;
 use crate::keyframe::relative_pose::{compose, inverse};
+use crate::loop_closure::matching::{CameraIndex, CameraPose};
 use crate::loop_closure::recognition::recognise;
 use crate::loop_closure::verification;
 use nalgebra::Matrix4;
@@ -48,11 +49,12 @@ impl Mapper {
                 camera.height()
             )));
         }
-        let sought = self.matcher.sought(image, leaning);
-        let signature = sought.signature(camera, &self.places_config);
+        let at = CameraPose { camera: CameraIndex::default(), pose: *leaning };
+        let sought = self.matcher.sought(image, &at);
+        let signature = self.matcher.signature(&sought, &self.places_config);
         // No keyframe has this number: nothing connects the image to the map.
         let new = KeyframeId(u64::MAX);
-        let here = (new, leaning);
+        let here = (new, &at);
         let found = recognise(
             &self.places,
             &signature,
@@ -61,10 +63,12 @@ impl Mapper {
             here,
             self.config.least_edges,
             &self.matcher,
+            &|_| true,
         );
         for place in found.iter().take(self.config.comparisons) {
             let Some(known) = self.keyframe(place.id) else { continue };
-            let pictured = self.matcher.pictured(images.load(place.id)?.gray, &known.odometry_pose);
+            let Some(there) = self.seen_from(place.id) else { continue };
+            let pictured = self.matcher.pictured(images.load(place.id)?.gray, &there);
             let seen =
                 verification::look_recognised(&self.matcher, &sought, &pictured, place, new, &self.config);
             if let Some(seen) = seen {

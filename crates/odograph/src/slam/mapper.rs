@@ -8,7 +8,7 @@ use crate::geometry::{GroundPose, propagated};
 use crate::ground_map::{GroundMap, KeyframeImage, KeyframeStore, MapKeyframe};
 use crate::image::RgbImage;
 use crate::keyframe::{EdgeKind, KeyframeId, MapEdge};
-use crate::loop_closure::matching::Matcher;
+use crate::loop_closure::matching::{CameraIndex, CameraPose, Matcher};
 use crate::loop_closure::{LoopClosure, LoopClosureConfig};
 use crate::motion::MotionModel;
 use crate::odometry::{KeyframeEvent, NewKeyframe, OdometryConfig};
@@ -32,6 +32,9 @@ pub struct Mapper {
     pub(super) closures: Vec<LoopClosure>,
     /// Matches that wait for a second one to confirm them.
     pub(super) pending: Vec<LoopClosure>,
+    /// What places look like, compared with the older keyframe, when sessions of several robots are
+    /// mapped: new keyframe, older keyframe, logarithm of the ratio of the metres.
+    pub(super) scales: Vec<(KeyframeId, KeyframeId, f64)>,
     /// For registrations of whole images.
     pub(super) patience: Patience,
     /// Loop closures since the last optimisation.
@@ -39,11 +42,23 @@ pub struct Mapper {
     /// The session being mapped, and the number of its first keyframe.
     session: u32,
     first: u64,
-    /// Whether keyframes of the session are compared with each other; not while another map is
-    /// merged, whose edges are known.
-    pub(super) own_loops: bool,
+    /// Which keyframes a new one is compared with.
+    pub(super) compared: ComparedKeyframes,
+    /// The cameras of the sessions, where they are not the first.
+    pub(super) cameras: BTreeMap<u32, CameraIndex>,
     /// Whether loop closure is suspended to keep up with the camera.
     hurried: bool,
+}
+
+/// Which keyframes a new one is compared with.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub(super) enum ComparedKeyframes {
+    /// All older ones.
+    All,
+    /// Those of earlier sessions: while another map is merged, whose edges are known.
+    Earlier,
+    /// Those of other sessions: of each session the edges are known.
+    OtherSessions,
 }
 
 /// Maximum number of steps of an optimisation while mapping; the next one continues it.
@@ -73,12 +88,20 @@ impl Mapper {
             places_config,
             session: 0,
             first: 0,
-            own_loops: true,
+            compared: ComparedKeyframes::All,
+            cameras: BTreeMap::new(),
             hurried: false,
-            map: GroundMap { camera: camera.clone(), rig, keyframes: Vec::new(), edges: Vec::new() },
+            map: GroundMap {
+                camera: camera.clone(),
+                rig,
+                other_cameras: BTreeMap::new(),
+                keyframes: Vec::new(),
+                edges: Vec::new(),
+            },
             index: BTreeMap::new(),
             closures: Vec::new(),
             pending: Vec::new(),
+            scales: Vec::new(),
             patience: Patience::default(),
             unsettled: 0,
             // A mean flow vector has no heading, so its loops cannot close.
@@ -106,6 +129,10 @@ impl Mapper {
         for (at, keyframe) in map.keyframes.iter().enumerate() {
             mapper.index.insert(keyframe.id, at);
             mapper.places.insert(keyframe.id, &keyframe.signature);
+        }
+        for (&session, other) in &map.other_cameras {
+            let camera = mapper.matcher.index_of(&other.camera);
+            mapper.cameras.insert(session, camera);
         }
         mapper.map = map;
         mapper.rebuild();
@@ -176,8 +203,9 @@ impl Mapper {
         images: &mut dyn KeyframeStore,
     ) -> Result<()> {
         self.matcher.set_mask(new.mask.clone());
-        let sought = self.matcher.sought(new.image.clone(), &new.pose);
-        let signature = sought.signature(&self.map.camera, &self.places_config);
+        let camera = self.cameras.get(&session).copied().unwrap_or_default();
+        let sought = self.matcher.sought(new.image.clone(), &CameraPose { camera, pose: new.pose });
+        let signature = self.matcher.signature(&sought, &self.places_config);
         let id = self.insert(&new, session, ties, signature);
         if let Some(keyframe) = self.keyframe(id) {
             images.keep(keyframe, KeyframeImage { gray: new.image, color }, ties)?;
@@ -186,7 +214,7 @@ impl Mapper {
             self.close_loops(id, sought, images)?;
         }
         if let Some(keyframe) = self.index.get(&id).map(|&at| &self.map.keyframes[at])
-            && self.own_loops
+            && self.compared != ComparedKeyframes::Earlier
         {
             self.places.insert(id, &keyframe.signature);
         }
@@ -281,6 +309,24 @@ impl Mapper {
         for edge in &self.map.edges {
             self.graph.tie(edge);
         }
+    }
+
+    /// Whether a new keyframe may be compared with an older one.
+    pub(super) fn compares(&self, new: KeyframeId, old: KeyframeId) -> bool {
+        match self.compared {
+            ComparedKeyframes::All => true,
+            ComparedKeyframes::Earlier => !self.is_new(old),
+            ComparedKeyframes::OtherSessions => {
+                let session = |id| self.keyframe(id).map(|keyframe| keyframe.session);
+                session(new) != session(old)
+            }
+        }
+    }
+
+    /// Camera, height, roll and pitch with which a keyframe was taken.
+    pub(super) fn seen_from(&self, id: KeyframeId) -> Option<CameraPose> {
+        let MapKeyframe { session, odometry_pose: pose, .. } = *self.keyframe(id)?;
+        Some(CameraPose { camera: self.cameras.get(&session).copied().unwrap_or_default(), pose })
     }
 
     pub(super) fn keyframe(&self, id: KeyframeId) -> Option<&MapKeyframe> {

@@ -1,6 +1,7 @@
 //! Operations on finished maps: merging two that overlap, and optimising one.
 
 use super::Mapper;
+use super::mapper::ComparedKeyframes;
 use crate::error::{Error, Result};
 use crate::ground_map::{GroundMap, KeyframeImages, KeyframeStore, MapKeyframe};
 use crate::keyframe::{KeyframeId, MapEdge};
@@ -35,7 +36,7 @@ pub fn merge(
     if other.camera != mapper.map().camera {
         return Err(Error::input("the two maps were made with different cameras and cannot be joined"));
     }
-    mapper.own_loops = false;
+    mapper.compared = ComparedKeyframes::Earlier;
     let mut inserted = BTreeSet::new();
     for keyframe in &other.keyframes {
         inserted.insert(keyframe.id);
@@ -59,7 +60,7 @@ pub fn merge(
         mapper.made(new, keyframe.session, &ties, image.color, images)?;
         mapper.settle_where_due();
     }
-    mapper.own_loops = true;
+    mapper.compared = ComparedKeyframes::All;
     mapper.finish();
     Ok(Merged { keyframes: other.keyframes.len(), ties: mapper.closures().len() })
 }

@@ -15,8 +15,10 @@ mod correction;
 mod fusion;
 mod localization;
 mod merge;
+mod fleet;
 
 pub use correction::{Straightening, Stretches, map_frames};
+pub use fleet::{FleetMapper, OdometryPlacement, SessionScale};
 pub use localization::Located;
 pub use mapper::Mapper;
 pub use merge::{Merged, merge, optimize};

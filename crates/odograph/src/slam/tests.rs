@@ -1,5 +1,5 @@
 use super::*;
-use crate::ground_map::{GroundMap, KeyframeImages, MemoryImages};
+use crate::ground_map::{GroundMap, KeyframeImages, MemoryImages, MountedCamera};
 use crate::keyframe::relative_pose::{compose, relative_motion};
 use crate::keyframe::{EdgeKind, KeyframeId, MapEdge};
 use crate::motion::Random;
@@ -327,4 +327,119 @@ fn the_map_pose_follows_the_frame_as_it_comes() {
     }
     let (mapper, _) = slam.finish();
     assert!(!mapper.map().keyframes.is_empty());
+}
+
+/// A robot with a camera of its own over the ground of all.
+struct FleetRobot {
+    mounted: MountedCamera,
+    /// Height of its camera, metres; the rig has what it was told.
+    height_m: f64,
+}
+
+impl FleetRobot {
+    fn new(size: (usize, usize), focal_px: f64, height_m: f64, told_m: f64) -> Self {
+        let principal = (0.5 * (size.0 as f64 - 1.0), 0.5 * (size.1 as f64 - 1.0));
+        let lens = crate::camera::Distortion::None;
+        let camera = Camera::new(size, (focal_px, focal_px), principal, lens).unwrap();
+        Self { mounted: MountedCamera { camera, rig: Rig::level(told_m) }, height_m }
+    }
+
+    /// Drives over places and gives its keyframe events.
+    fn drive(&self, ground: &Ground, places: &[(f64, f64, f64)]) -> Vec<KeyframeEvent> {
+        let MountedCamera { camera, rig } = &self.mounted;
+        let renderer = Renderer::new(camera);
+        let mut odometry = Odometry::new(camera.clone(), *rig, config()).unwrap();
+        odometry.record_keyframes();
+        let mut events = Vec::new();
+        for (number, &(x_m, y_m, heading_rad)) in places.iter().enumerate() {
+            let pose = GroundPose { x_m, y_m, heading_rad, ..GroundPose::level(self.height_m) };
+            odometry.process(renderer.gray_view(ground, &pose), number as f64 * FRAME_S).unwrap();
+            events.extend(odometry.take_keyframe_events());
+        }
+        events
+    }
+}
+
+/// Adds what a robot sent as a session, its keyframes numbered from `first`.
+fn add_session(
+    fleet: &mut FleetMapper,
+    images: &mut MemoryImages,
+    robot: &FleetRobot,
+    events: Vec<KeyframeEvent>,
+    session: u32,
+    first: u64,
+) {
+    fleet.begin_session(session, &robot.mounted);
+    for event in events {
+        let KeyframeEvent::Made(new) = event else { continue };
+        let number = |id: KeyframeId| KeyframeId(first + id.0);
+        let edges: Vec<MapEdge> = new
+            .tie
+            .iter()
+            .map(|tie| MapEdge { from: number(tie.from), to: number(tie.to), ..*tie })
+            .collect();
+        let new = NewKeyframe { id: number(new.id), tie: None, ..*new };
+        fleet.add(new, session, &edges, None, images).unwrap();
+    }
+}
+
+fn lane(from: (f64, f64), heading_rad: f64, count: usize) -> Vec<(f64, f64, f64)> {
+    let (sin, cos) = heading_rad.sin_cos();
+    (0..count)
+        .map(|i| (from.0 + 0.04 * i as f64 * cos, from.1 + 0.04 * i as f64 * sin, heading_rad))
+        .collect()
+}
+
+/// Two robots with different cameras and heights over the same ground; the second begins elsewhere.
+fn fleet_of(second: &FleetRobot) -> FleetMapper {
+    let first = FleetRobot::new((320, 240), 250.0, HEIGHT_M, HEIGHT_M);
+    let texture = Texture::named("asphalt").unwrap();
+    let footprint_m = Renderer::new(&first.mounted.camera).footprint_m(HEIGHT_M);
+    let ground = Ground::new(texture, footprint_m, false, 3).unwrap();
+    let map = GroundMap {
+        camera: first.mounted.camera.clone(),
+        rig: first.mounted.rig,
+        other_cameras: Default::default(),
+        keyframes: Vec::new(),
+        edges: Vec::new(),
+    };
+    let (mut fleet, mut images) = (FleetMapper::new(map, &config()), MemoryImages::default());
+    let events = first.drive(&ground, &lane((0.0, 0.0), 0.0, 100));
+    add_session(&mut fleet, &mut images, &first, events, 0, 0);
+    let events = second.drive(&ground, &lane((3.2, -0.15), 3.0, 70));
+    add_session(&mut fleet, &mut images, second, events, 1, 1000);
+    fleet.finish();
+    fleet
+}
+
+#[test]
+fn robots_with_different_cameras_and_heights_share_a_map() {
+    let fleet = fleet_of(&FleetRobot::new((400, 300), 330.0, 0.9, 0.9));
+    assert!(fleet.is_connected(1));
+    let scale = fleet.scale(1).expect("they saw the same ground");
+    assert!((scale.ratio - 1.0).abs() < 0.003, "{scale:?}");
+    let last = fleet.map().keyframes.iter().rfind(|keyframe| keyframe.session == 1).unwrap();
+    // At the last keyframe, wherever on its lane that is, the second robot is on its lane.
+    let along_m = (last.pose.x_m - 3.2) / 3.0_f64.cos();
+    let off_m = last.pose.y_m - (-0.15 + along_m * 3.0_f64.sin());
+    assert!(along_m > 1.5 && off_m.abs() < 0.005, "{:?}", last.pose);
+    let placement = fleet.placement(1).unwrap();
+    assert_eq!(placement.keyframe, last.id);
+    let sigma_m = placement.covariance[(1, 1)].sqrt();
+    assert!((off_m.abs() / sigma_m) < 5.0 && sigma_m < 0.02, "{off_m} {sigma_m}");
+    // Without the first robot nothing is left of its keyframes, and the second stays.
+    let pose = last.pose;
+    let left = fleet.without(&[0].into());
+    assert!(left.map().keyframes.iter().all(|keyframe| keyframe.session == 1));
+    assert_eq!(left.map().keyframes.last().unwrap().pose, pose);
+    assert!(left.map().edges.iter().all(|edge| edge.from.0 >= 1000 && edge.to.0 >= 1000));
+}
+
+#[test]
+fn a_height_that_is_wrong_shows_in_the_scale_of_recognised_places() {
+    for told in [0.96, 1.02, 1.06] {
+        let fleet = fleet_of(&FleetRobot::new((400, 300), 330.0, 0.9, 0.9 * told));
+        let scale = fleet.scale(1).expect("they saw the same ground");
+        assert!((scale.ratio * told - 1.0).abs() < 0.004 && scale.deviation < 0.005, "{told}: {scale:?}");
+    }
 }

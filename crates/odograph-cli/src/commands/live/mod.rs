@@ -1,12 +1,13 @@
 //! `odograph live`: a camera, a stream, or a recording at its own pace, followed as it comes, with
 //! a page in the browser.
 
-mod address;
+pub mod address;
 mod capture_arguments;
 mod outputs;
 mod serving;
 
 use super::run::{ConsoleObserver, LogArguments, MountedCamera, print_summary};
+use super::site::SiteLinkArguments;
 use crate::{Outcome, interrupt};
 pub use capture_arguments::CaptureArguments;
 use odograph::error::Result;
@@ -47,6 +48,8 @@ pub struct LiveArguments {
     /// Write poses, pictures and path into an MCAP file, for Foxglove and others.
     #[arg(help_heading = "Results", long, value_name = "FILE")]
     pub mcap: Option<PathBuf>,
+    #[command(flatten)]
+    pub site: SiteLinkArguments,
     /// Folder for the results. [default: live- and the date and time]
     #[arg(help_heading = "Results", short, long, value_name = "FOLDER")]
     pub output: Option<PathBuf>,
@@ -70,7 +73,8 @@ Examples:
   odograph live http://192.168.1.20:8080/video --camera phone.yaml --height 1.20 --serve -o walk/
   odograph live drive.mp4 --realtime --camera camera.yaml --height 1.20 --serve 8080
   odograph live /dev/video0 --camera camera.yaml --rig rig.toml --print poses | robot
-  odograph live drive.mp4 --camera camera.yaml --height 1.20 --mcap drive.mcap -o drive/";
+  odograph live drive.mp4 --camera camera.yaml --height 1.20 --mcap drive.mcap -o drive/
+  odograph live /dev/video0 --camera camera.yaml --height 1.20 --site http://hall:8137/ --robot cart-2";
 
 /// Formats of the line printed for each frame.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, clap::ValueEnum)]
@@ -85,6 +89,7 @@ impl LiveArguments {
         let folder = self.output.clone().unwrap_or_else(|| PathBuf::from(folder_name_now()));
         let source = SourcePlan { fps: self.capture.fps, ..SourcePlan::new(&self.source) };
         let run = RunBuilder::over(source).folder(folder).overwriting(self.force).reporter(HtmlReporter);
+        let run = self.site.robot.iter().fold(run, RunBuilder::robot);
         self.mounted.of_run(run)
     }
 }
@@ -101,6 +106,8 @@ pub fn live(arguments: LiveArguments) -> Result<Outcome> {
         mcap: arguments.mcap.clone(),
     };
     let run = arguments.builder().open_live(&options, &observer)?;
+    let link = arguments.site.start(&run.folder().join("map.gpkg"), run.folder(), arguments.quiet)?;
+    outputs.tell_losses_to(link.clone());
     let serving = Serving::start(&arguments.serve, Arc::clone(run.hub()), Offer::of_run(run.folder()))?;
     if !arguments.quiet {
         serving.print_address("");
@@ -119,6 +126,10 @@ pub fn live(arguments: LiveArguments) -> Result<Outcome> {
         }
     };
     observer.log_times(&outcome.statistics);
+    drop(outputs);
+    if let Some(link) = link {
+        link.finish(arguments.quiet);
+    }
     if arguments.print.is_none() {
         print_summary(&outcome, arguments.quiet, arguments.json)?;
     }

@@ -4,7 +4,7 @@ use crate::{Outcome, console};
 use odograph::error::{Error, Result};
 use odograph::ground_map::GroundMap;
 use odograph::keyframe::{EdgeKind, KeyframeId};
-use odograph_map::{MapFile, PathFrame};
+use odograph_map::{MapFile, PathFrame, SessionOrigin};
 use serde::Serialize;
 use std::collections::BTreeMap;
 use std::fmt::Write;
@@ -54,6 +54,23 @@ struct SessionInfo {
     path_m: f64,
     start_s: Option<f64>,
     end_s: Option<f64>,
+    /// Who made it, where the robot has a name.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    origin: Option<OriginInfo>,
+    /// Its camera and mount, where they are not those of the map.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    camera: Option<odograph::camera::Camera>,
+    #[serde(skip_serializing_if = "Option::is_none")]
+    rig: Option<odograph::camera::Rig>,
+}
+
+/// The name of a session that is the same in every map: its keyframes are numbered in it.
+#[derive(Debug, Serialize)]
+struct OriginInfo {
+    robot: String,
+    key: String,
+    first_number: Option<u64>,
+    last_number: Option<u64>,
 }
 
 #[derive(Debug, Serialize)]
@@ -89,7 +106,22 @@ fn gathered(file: &MapFile) -> Result<MapInfo> {
         .into_iter()
         .map(|session| {
             let path = file.path_of(session.id)?;
+            let other = map.other_cameras.get(&session.id);
+            let mut own = map.keyframes.iter().filter(|keyframe| keyframe.session == session.id);
+            let ends = [own.clone().next(), own.next_back()];
+            let [first_number, last_number] =
+                ends.map(|keyframe| keyframe.map_or(Ok(None), |keyframe| file.number_of(keyframe.id)));
+            let (first_number, last_number) = (first_number?, last_number?);
+            let named = |origin: SessionOrigin| OriginInfo {
+                robot: origin.robot,
+                key: origin.key,
+                first_number,
+                last_number,
+            };
             Ok(SessionInfo {
+                origin: session.origin.map(named),
+                camera: other.map(|other| other.camera.clone()),
+                rig: other.map(|other| other.rig),
                 id: session.id,
                 source: session.source,
                 keyframes: map.keyframes.iter().filter(|keyframe| keyframe.session == session.id).count(),
@@ -215,6 +247,24 @@ fn described(info: &MapInfo, checked: bool) -> String {
             "session {}  {}: {} keyframes, {} frames, {:.2} m",
             session.id, session.source, session.keyframes, session.frames, session.path_m
         );
+        if let Some(origin) = &session.origin {
+            let numbers = match (origin.first_number, origin.last_number) {
+                (Some(first), Some(last)) => format!(", keyframes {first} to {last}"),
+                _ => String::new(),
+            };
+            let _ = writeln!(text, "           by {}, session {}{numbers}", origin.robot, origin.key);
+        }
+        if let (Some(camera), Some(rig)) = (&session.camera, &session.rig) {
+            let _ = writeln!(
+                text,
+                "           camera {}x{}, focal lengths {:.1} and {:.1} px, {:.3} m above the ground",
+                camera.width(),
+                camera.height(),
+                camera.focal_px().0,
+                camera.focal_px().1,
+                rig.height_m
+            );
+        }
     }
     if checked {
         text.push_str("checked    no damage found\n");

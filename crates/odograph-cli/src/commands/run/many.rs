@@ -59,6 +59,7 @@ pub fn recordings(arguments: &RunArguments) -> Result<Option<Vec<ListedRecording
         ("--reference", arguments.reference.is_some()),
         ("--progress json", arguments.progress == Progress::Json),
         ("--bag-out", arguments.bag_out.is_some()),
+        ("--site", arguments.site.site.is_some()),
     ];
     if let Some((option, _)) = one_alone.iter().find(|(_, given)| *given) {
         return Err(Error::usage(format!("{option} belongs to one recording; run it by itself")));

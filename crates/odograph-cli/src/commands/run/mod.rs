@@ -6,6 +6,7 @@ mod mounted_camera;
 mod sensors;
 mod summary;
 
+use super::site::SiteLinkArguments;
 use crate::{Outcome, console, files};
 use console_observer::Progress;
 pub use console_observer::{ConsoleObserver, LogArguments};
@@ -90,6 +91,8 @@ pub struct RunArguments {
     #[arg(help_heading = "Results", long, value_name = "FILE")]
     pub bag_out: Option<PathBuf>,
     #[command(flatten)]
+    pub site: SiteLinkArguments,
+    #[command(flatten)]
     pub output: OutputArguments,
     #[command(flatten)]
     pub log: LogArguments,
@@ -128,6 +131,7 @@ Examples:
   odograph run drive/run.toml -o again/
   odograph run monday.mp4 --camera camera.yaml --height 1.20 --map hall.gpkg -o monday/
   odograph run monday.mp4 tuesday.mp4 --camera camera.yaml --height 1.20 -o week/
+  odograph run drive.mp4 --camera camera.yaml --height 1.20 --site http://hall:8137/ --robot cart-2
 
 Ends with 0 when done, 2 on wrong usage, 3 on bad input, 4 when the movement could not be measured in most of the \
 recording, 130 when interrupted by Ctrl-C (what there is has been written in both cases).";
@@ -142,6 +146,7 @@ impl RunArguments {
             self.fresh(source)
         };
         let run = run.folder(folder).overwriting(self.output.force).reporter(HtmlReporter);
+        let run = self.site.robot.iter().fold(run, RunBuilder::robot);
         let run = self.bag_out.iter().fold(run, RunBuilder::bag);
         let run = match &self.output.map {
             Some(map) => run.map(MapUse::Continue(map.clone())),
@@ -245,6 +250,10 @@ pub fn run(arguments: RunArguments) -> Result<Outcome> {
     let outcome = run.follow(&observer)?;
     observer.log_times(&outcome.statistics);
     print_summary(&outcome, quiet, arguments.output.json)?;
+    let map = arguments.output.map.clone().unwrap_or_else(|| folder.join("map.gpkg"));
+    if let Some(link) = arguments.site.start(&map, &folder, quiet)? {
+        link.finish(quiet);
+    }
     Ok(outcome.end.into())
 }
 

@@ -30,12 +30,13 @@ const SPREAD_PRIOR: f64 = 1.0;
 /// The square of how well a ratio is known (1 %) over how far exposure strays (20 %).
 const PRIOR: f64 = 0.0025;
 
-/// The gain of each keyframe and channel that brings all to the same brightness, and how the lens
-/// darkens.
+/// The gain of each keyframe and channel that brings all to the same brightness, and how the lenses
+/// darken.
 #[derive(Debug)]
 pub(super) struct Gains {
     of: Vec<[f32; 3]>,
-    darkening: Darkening,
+    /// By camera.
+    darkening: Vec<Darkening>,
 }
 
 /// Vignetting: the logarithm of the brightness changes by `log_at_corner` times the square of the
@@ -82,7 +83,7 @@ struct Thumbnail(Vec<[f32; 3]>);
 impl Gains {
     /// Settles the gains of all keyframes. Loads every image once.
     pub fn settle(
-        camera: &Camera,
+        cameras: &[Camera],
         keyframes: &[PlacedKeyframe],
         images: &mut dyn KeyframeImages,
     ) -> Result<Self> {
@@ -91,14 +92,22 @@ impl Gains {
             thumbnails.push(Thumbnail::of(&images.load(placed.id)?));
         }
         let pairs = pairs(keyframes);
-        let mut darkening = Darkening::none(camera);
-        darkening.log_at_corner = log_at_corner(camera, keyframes, &thumbnails, &pairs, darkening);
-        thumbnails.iter_mut().for_each(|thumbnail| thumbnail.brighten(camera, darkening));
+        let lens = |(index, camera): (usize, &Camera)| {
+            let lens = Darkening::none(camera);
+            let own = |k: &usize| keyframes[*k].camera == index;
+            let pairs: Vec<_> = pairs.iter().copied().filter(|(one, other)| own(one) && own(other)).collect();
+            let log_at_corner = log_at_corner(camera, keyframes, &thumbnails, &pairs, lens);
+            Darkening { log_at_corner, ..lens }
+        };
+        let darkening: Vec<Darkening> = cameras.iter().enumerate().map(lens).collect();
+        for (thumbnail, placed) in thumbnails.iter_mut().zip(keyframes) {
+            thumbnail.brighten(&cameras[placed.camera], darkening[placed.camera]);
+        }
         let overlaps: Vec<Overlap> = pairs
             .iter()
             .filter_map(|&(one, other)| {
                 let shared = shared(
-                    camera,
+                    [one, other].map(|k| &cameras[keyframes[k].camera]),
                     (&keyframes[one], &keyframes[other]),
                     (&thumbnails[one], &thumbnails[other]),
                 );
@@ -115,9 +124,9 @@ impl Gains {
         self.of[keyframe]
     }
 
-    /// The vignetting.
-    pub fn darkening(&self) -> Darkening {
-        self.darkening
+    /// The vignetting of a camera.
+    pub fn darkening(&self, camera: usize) -> Darkening {
+        self.darkening[camera]
     }
 }
 
@@ -224,12 +233,12 @@ struct CommonGround {
 
 /// The spots that two keyframes share, one for each cell of the first.
 fn shared(
-    camera: &Camera,
+    [camera, camera_of_other]: [&Camera; 2],
     (one, other): (&PlacedKeyframe, &PlacedKeyframe),
     thumbnails: (&Thumbnail, &Thumbnail),
 ) -> Vec<CommonGround> {
-    let Some(view) = GroundCamera::new(camera, &other.pose) else { return Vec::new() };
-    let (width, height) = (camera.width() as f64, camera.height() as f64);
+    let Some(view) = GroundCamera::new(camera_of_other, &other.pose) else { return Vec::new() };
+    let (width, height) = (camera_of_other.width() as f64, camera_of_other.height() as f64);
     let spot = |(k, own): (usize, &[f32; 3])| {
         let pixel = centre_of(camera, k);
         let look = view.look(one.pose.ground_from_ray(camera.ray_from_pixel(pixel)?)?)?;
@@ -266,7 +275,7 @@ fn log_at_corner(
     let (mut squares, mut products) = (SPREAD_PRIOR, 0.0);
     for &(one, other) in pairs {
         let spots =
-            shared(camera, (&keyframes[one], &keyframes[other]), (&thumbnails[one], &thumbnails[other]));
+            shared([camera; 2], (&keyframes[one], &keyframes[other]), (&thumbnails[one], &thumbnails[other]));
         let Some(exposure) = log_exposure(&spots) else { continue };
         let apart = |spot: &CommonGround| {
             f64::from(

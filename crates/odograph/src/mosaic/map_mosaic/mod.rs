@@ -50,6 +50,8 @@ pub struct MosaicTile {
 #[derive(Debug, Clone)]
 struct PlacedKeyframe {
     id: KeyframeId,
+    /// Index of its camera.
+    camera: usize,
     pose: GroundPose,
     /// Side of the ground that a pixel in the middle of its image sees, metres.
     sample_m: f64,
@@ -60,7 +62,7 @@ struct PlacedKeyframe {
 /// The mosaic of a whole map: all keyframes at their final poses, patch by patch.
 #[derive(Debug)]
 pub struct MapMosaic {
-    camera: Camera,
+    cameras: Vec<Camera>,
     resolution_m: f64,
     keyframes: Vec<PlacedKeyframe>,
     gains: Gains,
@@ -83,15 +85,19 @@ impl MapMosaic {
         images: &mut dyn KeyframeImages,
         ground_resolution_m: Option<f64>,
     ) -> Result<Option<Self>> {
-        let mut footprint = None;
+        let (cameras, of_session) = cameras(map);
+        let mut footprints: Vec<Option<Footprint>> = vec![None; cameras.len()];
         let mut keyframes: Vec<PlacedKeyframe> = map
             .keyframes
             .iter()
             .filter_map(|keyframe| {
-                let view = GroundCamera::new(&map.camera, &keyframe.pose)?;
-                let (low, high) = Footprint::of(&mut footprint, &map.camera).bounds(&view)?;
+                let index = of_session.get(&keyframe.session).copied().unwrap_or(0);
+                let camera = &cameras[index];
+                let view = GroundCamera::new(camera, &keyframe.pose)?;
+                let (low, high) = Footprint::of(&mut footprints[index], camera).bounds(&view)?;
                 Some(PlacedKeyframe {
                     id: keyframe.id,
+                    camera: index,
                     pose: keyframe.pose,
                     sample_m: view.centre_resolution_m(),
                     bounds: [low.x_m, low.y_m, high.x_m, high.y_m],
@@ -103,8 +109,9 @@ impl MapMosaic {
         };
         // A keyframe from far above shows more ground than fits in memory, and more coarsely than
         // the others.
-        let pixels = (map.camera.width() * map.camera.height()) as f64;
+        let pixels = |camera: &Camera| (camera.width() * camera.height()) as f64;
         keyframes.retain(|placed| {
+            let pixels = pixels(&cameras[placed.camera]);
             let [left, bottom, right, top] = placed.bounds;
             (right - left) * (top - bottom) / (resolution_m * resolution_m) <= 64.0 * pixels + 1e6
         });
@@ -112,9 +119,9 @@ impl MapMosaic {
         let Some(tiles) = tiles(&keyframes, resolution_m) else {
             return Ok(None);
         };
-        let gains = Gains::settle(&map.camera, &keyframes, images)?;
+        let gains = Gains::settle(&cameras, &keyframes, images)?;
         Ok(Some(Self {
-            camera: map.camera.clone(),
+            cameras,
             resolution_m,
             keyframes,
             gains,
@@ -149,18 +156,33 @@ impl MapMosaic {
         self.patch.begin(column * PATCH, row * PATCH, self.resolution_m);
         for &index in &keyframes {
             let placed = &self.keyframes[index];
-            let Some(view) = GroundCamera::new(&self.camera, &placed.pose) else { continue };
+            let Some(view) = GroundCamera::new(&self.cameras[placed.camera], &placed.pose) else { continue };
             let image = self.images.get(placed.id, images)?;
             self.patch.orthorectify(
                 image,
                 &view,
                 placed.bounds,
                 self.gains.of(index),
-                self.gains.darkening(),
+                self.gains.darkening(placed.camera),
             );
         }
         Ok(Some(self.patch.tiles()))
     }
+}
+
+/// The different cameras of a map, and the index of that of each session with another one than the
+/// first.
+fn cameras(map: &GroundMap) -> (Vec<Camera>, BTreeMap<u32, usize>) {
+    let mut cameras = vec![map.camera.clone()];
+    let mut of_session = BTreeMap::new();
+    for (&session, other) in &map.other_cameras {
+        let index = cameras.iter().position(|known| *known == other.camera).unwrap_or_else(|| {
+            cameras.push(other.camera.clone());
+            cameras.len() - 1
+        });
+        of_session.insert(session, index);
+    }
+    (cameras, of_session)
 }
 
 /// The resolution asked for, or that of the median keyframe, within bounds.

@@ -40,6 +40,12 @@ pub fn write(file: &mut MapFile, folder: &Path, force: bool) -> Result<String> {
     if map.keyframes.is_empty() {
         return Err(Error::input(format!("{} has no keyframe to write", file.path().display())));
     }
+    if !map.has_one_camera() {
+        return Err(Error::input(format!(
+            "{} was made with several cameras, and only maps of one camera are written for COLMAP",
+            file.path().display()
+        )));
+    }
     let camera = write_as(&map.camera, CameraFormat::Colmap)?;
     for name in ["cameras.txt", "images.txt", "points3D.txt", "images"] {
         super::check_free(&folder.join(name), force)?;

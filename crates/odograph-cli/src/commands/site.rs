@@ -1,0 +1,302 @@
+//! `odograph site`: one map for a fleet, and the link of a robot to it.
+
+use super::live::address;
+use crate::{Outcome, console, files, interrupt};
+use odograph::error::{Error, Result};
+use odograph_live::server::new_token;
+use odograph_map::{MapFile, Session};
+use odograph_site::{
+    DEFAULT_PORT, LinkReport, Site, SiteAddress, SiteClient, SiteLink, SiteServer, SiteStatus,
+};
+use serde_json::json;
+use std::net::{IpAddr, Ipv4Addr, SocketAddr};
+use std::path::{Path, PathBuf};
+use std::sync::Arc;
+use std::thread;
+use std::time::Duration;
+
+/// Serve one map for a fleet, and manage its robots.
+#[derive(Debug, clap::Args)]
+pub struct SiteArguments {
+    #[command(subcommand)]
+    command: SiteCommand,
+}
+
+#[derive(Debug, clap::Subcommand)]
+enum SiteCommand {
+    Serve(ServeSiteArguments),
+    Send(SendArguments),
+    Robots(RobotsArguments),
+    Withdraw(RobotArguments),
+    Restore(RestoreArguments),
+}
+
+/// Serve the map of a fleet.
+///
+/// Robots send to it with `live` or `run` and --site. Ends with Ctrl-C; nothing that was
+/// acknowledged is lost, however it ends.
+#[derive(Debug, clap::Args)]
+#[command(after_help = SERVE_EXAMPLES)]
+struct ServeSiteArguments {
+    /// The folder of the site: records.sqlite and map.gpkg. It is made where it is not there.
+    #[arg(value_name = "FOLDER")]
+    folder: PathBuf,
+    /// Address to serve at.
+    ///
+    /// 8137 and 127.0.0.1:8137 are for this machine only, 0.0.0.0:8137 is for others, too.
+    #[arg(long, value_name = "ADDRESS", value_parser = address::parse,
+          default_value_t = SocketAddr::new(IpAddr::V4(Ipv4Addr::LOCALHOST), DEFAULT_PORT))]
+    listen: SocketAddr,
+    /// Token that robots and browsers must give.
+    ///
+    /// For addresses that others can reach there always is one; it is made up and printed, if not
+    /// given.
+    #[arg(long, value_name = "TOKEN")]
+    token: Option<String>,
+    /// Say nothing but errors.
+    #[arg(short, long)]
+    quiet: bool,
+}
+
+const SERVE_EXAMPLES: &str = "\
+Examples:
+  odograph site serve hall/
+  odograph site serve hall/ --listen 0.0.0.0:8137 --token 5f1c-hall-carts";
+
+/// Send what a map has of a robot and the site has not.
+///
+/// After a run that ended before the site had everything.
+#[derive(Debug, clap::Args)]
+struct SendArguments {
+    /// The map of the robot.
+    #[arg(value_name = "MAP")]
+    map: PathBuf,
+    /// Address of the site, as it printed it.
+    #[arg(long, value_name = "URL")]
+    site: SiteAddress,
+    /// Name of the robot, as in the run.
+    #[arg(long, value_name = "NAME")]
+    robot: String,
+    /// Say nothing but errors.
+    #[arg(short, long)]
+    quiet: bool,
+}
+
+/// List the robots of a site.
+#[derive(Debug, clap::Args)]
+struct RobotsArguments {
+    /// Address of the site, as it printed it.
+    #[arg(long, value_name = "URL")]
+    site: SiteAddress,
+    /// Print JSON instead of text.
+    #[arg(long)]
+    json: bool,
+}
+
+/// Take what a robot sent out of the map.
+///
+/// Its records are kept, and those that it goes on to send.
+#[derive(Debug, clap::Args)]
+struct RobotArguments {
+    /// Name of the robot.
+    #[arg(value_name = "ROBOT")]
+    robot: String,
+    /// Address of the site, as it printed it.
+    #[arg(long, value_name = "URL")]
+    site: SiteAddress,
+}
+
+/// Put a robot that was withdrawn or quarantined into the map again.
+#[derive(Debug, clap::Args)]
+struct RestoreArguments {
+    #[command(flatten)]
+    of: RobotArguments,
+    /// Whatever its metres are: never quarantine it.
+    #[arg(long)]
+    trust: bool,
+}
+
+/// Where a robot sends its map.
+#[derive(Debug, Clone, Default, clap::Args)]
+pub struct SiteLinkArguments {
+    /// Send the map to the site of a fleet, at the address that it printed.
+    ///
+    /// Nothing waits for the network: what the site has not, the map keeps. `odograph site send`
+    /// sends the rest later.
+    #[arg(help_heading = "Site", long, value_name = "URL", requires = "robot")]
+    pub site: Option<SiteAddress>,
+    /// Name of this robot, different from that of every other.
+    #[arg(help_heading = "Site", long, value_name = "NAME")]
+    pub robot: Option<String>,
+}
+
+/// Time without an acknowledgement after which a run ends without the site.
+const PATIENCE: Duration = Duration::from_secs(20);
+
+impl SiteLinkArguments {
+    /// Begins to send a map, where a site is given. What the site says last is in `site.json` of
+    /// the folder.
+    pub fn start(&self, map: &Path, folder: &Path, quiet: bool) -> Result<Option<RobotLink>> {
+        let (Some(site), Some(robot)) = (&self.site, &self.robot) else { return Ok(None) };
+        let path = folder.join("site.json");
+        let mut problem = None;
+        let listening = Box::new(move |report: &LinkReport| {
+            if let Some(status) = &report.status {
+                // Without it the run goes on as without a site.
+                let _ = files::write(&path, json!(status).to_string().as_bytes());
+            }
+            if report.problem != problem {
+                problem.clone_from(&report.problem);
+                if let Some(problem) = problem.as_ref().filter(|_| !quiet) {
+                    console::warn(&format!("{problem}; the map keeps what it has not"));
+                }
+            }
+        });
+        let link = SiteLink::start(map, robot, SiteClient::new(site.clone()), listening)?;
+        let command = format!("odograph site send {} --site {site} --robot {robot}", map.display());
+        Ok(Some(RobotLink { link: Arc::new(link), map: map.to_owned(), command }))
+    }
+}
+
+/// The link of a run.
+#[derive(Debug, Clone)]
+pub struct RobotLink {
+    link: Arc<SiteLink>,
+    map: PathBuf,
+    /// What sends the rest later.
+    command: String,
+}
+
+impl RobotLink {
+    /// Tells whether the robot is lost.
+    pub fn set_lost(&self, lost: bool) {
+        self.link.set_lost(lost);
+    }
+
+    /// Sends the rest, and says what became of it.
+    pub fn finish(self, quiet: bool) {
+        let Some(link) = Arc::into_inner(self.link) else { return };
+        let report = link.finish(PATIENCE, &|| !interrupt::asked());
+        // The run could not fold the log of the map while the link was reading.
+        let mut log = self.map.clone().into_os_string();
+        log.push("-wal");
+        if Path::new(&log).exists() {
+            let _ = MapFile::open(&self.map).and_then(MapFile::close);
+        }
+        if !report.complete {
+            console::warn(&format!("the site has not everything yet; {} sends the rest", self.command));
+        }
+        if !quiet {
+            tell(&report);
+        }
+    }
+}
+
+/// Says what became of a robot's records.
+fn tell(report: &LinkReport) {
+    let Some(status) = &report.status else { return };
+    console::note(&match (status, status.map_from_odom) {
+        (SiteStatus { reason: Some(reason), state, .. }, _) if !state.is_merged() => {
+            format!("this robot is {} by the site: {reason}", state.name())
+        }
+        (_, Some(place)) => format!(
+            "the site has {} records; its map from this odometry: x {:.3} m, y {:.3} m, heading {:.2}°, scale {:.4}",
+            report.acknowledged,
+            place.x_m,
+            place.y_m,
+            place.heading_rad.to_degrees(),
+            place.scale
+        ),
+        (_, None) => {
+            format!("the site has {} records; it has not recognised where they are yet", report.acknowledged)
+        }
+    });
+}
+
+/// Runs the command.
+pub fn site(arguments: SiteArguments) -> Result<Outcome> {
+    match arguments.command {
+        SiteCommand::Serve(arguments) => serve(&arguments),
+        SiteCommand::Send(arguments) => send(&arguments),
+        SiteCommand::Robots(arguments) => robots(&arguments),
+        SiteCommand::Withdraw(arguments) => {
+            SiteClient::new(arguments.site).set_robot(&arguments.robot, "withdraw").map(|()| Outcome::Done)
+        }
+        SiteCommand::Restore(RestoreArguments { of, trust }) => SiteClient::new(of.site)
+            .set_robot(&of.robot, if trust { "trust" } else { "restore" })
+            .map(|()| Outcome::Done),
+    }
+}
+
+fn serve(arguments: &ServeSiteArguments) -> Result<Outcome> {
+    let token = match &arguments.token {
+        Some(token) if token.len() < 8 || !token.bytes().all(|b| b.is_ascii_alphanumeric() || b == b'-') => {
+            return Err(Error::usage("a token has at least 8 letters, digits or hyphens"));
+        }
+        Some(token) => Some(token.clone()),
+        None if arguments.listen.ip().is_loopback() => None,
+        None => Some(new_token()?),
+    };
+    let site = Arc::new(Site::open(&arguments.folder)?);
+    let server = SiteServer::start(arguments.listen, Arc::clone(&site), token)?;
+    if !arguments.quiet {
+        console::note(&format!("the site is at {}; Ctrl-C ends it", server.url()));
+    }
+    while !interrupt::asked() {
+        thread::sleep(Duration::from_millis(100));
+    }
+    drop(server);
+    site.close();
+    Ok(Outcome::Done)
+}
+
+fn send(arguments: &SendArguments) -> Result<Outcome> {
+    let file = MapFile::open_read_only(&arguments.map)?;
+    let named =
+        |session: &Session| session.origin.as_ref().is_some_and(|origin| origin.robot == arguments.robot);
+    if !file.sessions()?.iter().any(named) {
+        return Err(Error::input(format!(
+            "{} has no session of {}; a run has a robot with --robot",
+            arguments.map.display(),
+            arguments.robot
+        )));
+    }
+    drop(file);
+    let client = SiteClient::new(arguments.site.clone());
+    let link = SiteLink::start(&arguments.map, &arguments.robot, client, Box::new(|_| {}))?;
+    let report = link.finish(PATIENCE, &|| !interrupt::asked());
+    if !report.complete {
+        let problem = report.problem.unwrap_or_else(|| "interrupted".to_owned());
+        return Err(Error::input(format!("{problem}; the map keeps what the site has not")));
+    }
+    if !arguments.quiet {
+        tell(&report);
+    }
+    Ok(Outcome::Done)
+}
+
+fn robots(arguments: &RobotsArguments) -> Result<Outcome> {
+    let state = SiteClient::new(arguments.site.clone()).state()?;
+    if arguments.json {
+        console::print(&format!("{state:#}\n"))?;
+        return Ok(Outcome::Done);
+    }
+    let mut text = String::new();
+    for session in state["sessions"].as_array().into_iter().flatten() {
+        let name = session["robot"].as_str().unwrap_or_default();
+        let robot = &state["robots"][name];
+        let recognised = if session["connected"] == json!(true) { "" } else { ", not recognised yet" };
+        let condition = match robot["state"].as_str() {
+            Some(state @ ("quarantined" | "withdrawn")) => {
+                format!("{state}: {}", robot["reason"].as_str().unwrap_or_default())
+            }
+            _ => format!("{}{recognised}", session["condition"].as_str().unwrap_or_default()),
+        };
+        text += &format!(
+            "{name:<16} {} of {} keyframes in the map, {} loops with others, {condition}\n",
+            session["keyframes"], session["records"], session["loops"]
+        );
+    }
+    console::print(&text)?;
+    Ok(Outcome::Done)
+}

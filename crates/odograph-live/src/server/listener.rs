@@ -1,0 +1,136 @@
+//! Accepts connections, each with a thread of its own, up to a limit.
+
+use odograph::error::{Error, Result};
+use std::io::{self, Write};
+use std::net::{IpAddr, SocketAddr, TcpListener, TcpStream};
+use std::sync::Arc;
+use std::sync::atomic::{AtomicBool, AtomicUsize, Ordering};
+use std::thread::{self, JoinHandle};
+use std::time::Duration;
+
+/// Stack of a connection's thread, bytes.
+const STACK: usize = 256 << 10;
+
+/// A listening socket whose connections are served until it is dropped.
+#[derive(Debug)]
+pub struct Listener {
+    address: SocketAddr,
+    state: Arc<ListenerState>,
+    acceptor: Option<JoinHandle<()>>,
+}
+
+#[derive(Debug, Default)]
+struct ListenerState {
+    connections: AtomicUsize,
+    ended: AtomicBool,
+}
+
+/// One counted connection; releases its slot when dropped.
+#[derive(Debug)]
+pub struct Connection(Arc<ListenerState>);
+
+impl Connection {
+    /// Whether the listener has been dropped: the connection should end.
+    pub fn is_ended(&self) -> bool {
+        self.0.ended.load(Ordering::Relaxed)
+    }
+}
+
+impl Drop for Connection {
+    fn drop(&mut self) {
+        self.0.connections.fetch_sub(1, Ordering::Relaxed);
+    }
+}
+
+impl Listener {
+    /// Listens at an address, port 0 for any free one, and calls `serve` for each connection in a
+    /// thread of its own. Beyond `most` connections further ones are refused at once.
+    ///
+    /// # Errors
+    /// If the address is not available, or if it can be reached by others without `protected`.
+    pub fn start(
+        address: SocketAddr,
+        protected: bool,
+        most: usize,
+        serve: impl Fn(&Connection, TcpStream) -> io::Result<()> + Send + Sync + 'static,
+    ) -> Result<Self> {
+        if !protected && !address.ip().is_loopback() {
+            return Err(Error::usage(format!("{address} can be reached by others: that needs a token")));
+        }
+        let listener = TcpListener::bind(address)
+            .map_err(|error| Error::usage(format!("the page cannot be served at {address}: {error}")))?;
+        let bound = listener.local_addr().unwrap_or(address);
+        let state = Arc::new(ListenerState::default());
+        let acceptor = thread::Builder::new()
+            .name("page".into())
+            .spawn({
+                let (state, serve) = (Arc::clone(&state), Arc::new(serve));
+                move || accept(&listener, &state, most, &serve)
+            })
+            .map_err(|error| Error::output(format!("the page's thread cannot be started: {error}")))?;
+        Ok(Self { address: bound, state, acceptor: Some(acceptor) })
+    }
+
+    /// The address on which it listens.
+    pub fn address(&self) -> SocketAddr {
+        self.address
+    }
+
+    /// Number of open connections.
+    pub fn connections(&self) -> usize {
+        self.state.connections.load(Ordering::Relaxed)
+    }
+}
+
+impl Drop for Listener {
+    fn drop(&mut self) {
+        self.state.ended.store(true, Ordering::Relaxed);
+        // Wakes the thread that waits for connections.
+        let mut own = self.address;
+        if own.ip().is_unspecified() {
+            own.set_ip(match own.ip() {
+                IpAddr::V4(_) => IpAddr::from([127, 0, 0, 1]),
+                IpAddr::V6(_) => IpAddr::from([0, 0, 0, 0, 0, 0, 0, 1]),
+            });
+        }
+        let woken = TcpStream::connect_timeout(&own, Duration::from_secs(1)).is_ok();
+        if let Some(acceptor) = self.acceptor.take().filter(|_| woken) {
+            let _ = acceptor.join();
+        }
+    }
+}
+
+fn accept<S>(listener: &TcpListener, state: &Arc<ListenerState>, most: usize, serve: &Arc<S>)
+where
+    S: Fn(&Connection, TcpStream) -> io::Result<()> + Send + Sync + 'static,
+{
+    loop {
+        let accepted = listener.accept();
+        if state.ended.load(Ordering::Relaxed) {
+            return;
+        }
+        let Ok((stream, _)) = accepted else {
+            // Mostly caused by a shortage of file descriptors, which is temporary.
+            thread::sleep(Duration::from_millis(50));
+            continue;
+        };
+        let before = state.connections.fetch_add(1, Ordering::Relaxed);
+        let connection = Connection(Arc::clone(state));
+        if before >= most {
+            refuse_for_want_of_room(stream);
+            continue;
+        }
+        let serve = Arc::clone(serve);
+        // If no thread can be created the connection is closed, and the client may retry.
+        let _ = thread::Builder::new()
+            .name("page client".into())
+            .stack_size(STACK)
+            .spawn(move || drop(serve(&connection, stream)));
+    }
+}
+
+/// Refuses a connection because there are too many, without blocking.
+fn refuse_for_want_of_room(mut stream: TcpStream) {
+    let full = b"HTTP/1.1 503 Service Unavailable\r\nContent-Length: 0\r\nRetry-After: 5\r\nConnection: close\r\n\r\n";
+    let _ = stream.set_nonblocking(true).and_then(|()| stream.write_all(full));
+}

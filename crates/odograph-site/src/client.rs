@@ -1,0 +1,260 @@
+//! Requests to a site.
+
+use crate::protocol::{SessionDescription, SiteStatus};
+use odograph::error::{Error, Result};
+use odograph_live::server::deadline::Deadlined;
+use odograph_map::SessionOrigin;
+use serde_json::Value;
+use std::fmt;
+use std::io::{self, Read, Write};
+use std::net::{TcpStream, ToSocketAddrs};
+use std::time::Duration;
+
+/// Time limit for a connection.
+const CONNECT_PATIENCE: Duration = Duration::from_secs(5);
+/// Time limit for a request and its answer.
+const ANSWER_PATIENCE: Duration = Duration::from_secs(60);
+/// Longest answer, bytes.
+const MOST_ANSWER: usize = 64 << 20;
+
+/// Where a site is, and the token that it requires.
+#[derive(Clone, PartialEq, Eq)]
+pub struct SiteAddress {
+    /// Host and port, as in the `Host` header.
+    host: String,
+    token: Option<String>,
+}
+
+impl fmt::Debug for SiteAddress {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        // The token is not for others to read.
+        f.debug_struct("SiteAddress").field("host", &self.host).finish_non_exhaustive()
+    }
+}
+
+impl fmt::Display for SiteAddress {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        write!(f, "http://{}/", self.host)
+    }
+}
+
+impl std::str::FromStr for SiteAddress {
+    type Err = Error;
+
+    /// Reads `http://HOST:PORT/?token=TOKEN`, as a site prints it; port and token may be left out.
+    fn from_str(text: &str) -> Result<Self> {
+        let wrong = |what: &str| {
+            Error::usage(format!(
+                "the address of a site is http://HOST:{}/?token=TOKEN; {what}",
+                super::DEFAULT_PORT
+            ))
+        };
+        if text.starts_with("https://") {
+            return Err(wrong("encrypted connections are not made here: use a tunnel or a private network"));
+        }
+        let rest = text.strip_prefix("http://").ok_or_else(|| wrong("it begins with http://"))?;
+        let (host, path) = rest.split_once('/').unwrap_or((rest, ""));
+        let plain = |byte: u8| byte.is_ascii_alphanumeric() || b"-.:[]".contains(&byte);
+        if host.is_empty() || !host.bytes().all(plain) {
+            return Err(wrong("the host is a name or a number of a machine"));
+        }
+        let token = match path.strip_prefix("?token=") {
+            Some(token)
+                if !token.is_empty() && token.bytes().all(|b| b.is_ascii_alphanumeric() || b == b'-') =>
+            {
+                Some(token.to_owned())
+            }
+            None if path.is_empty() => None,
+            _ => return Err(wrong("nothing but a token of letters, digits and hyphens follows the host")),
+        };
+        let has_port = host.rsplit_once(':').is_some_and(|(before, port)| {
+            port.parse::<u16>().is_ok() && (!before.contains(':') || before.ends_with(']'))
+        });
+        let host = if has_port { host.to_owned() } else { format!("{host}:{}", super::DEFAULT_PORT) };
+        Ok(Self { host, token })
+    }
+}
+
+/// Why a request has no answer.
+#[derive(Debug)]
+pub enum NoAnswer {
+    /// The site cannot be reached or is not able to answer now: it is worth another try.
+    Unreachable(String),
+    /// The site has other records of the session than was thought.
+    OutOfOrder,
+    /// The site refuses.
+    Refused(String),
+}
+
+/// A client of a site.
+#[derive(Debug, Clone)]
+pub struct SiteClient {
+    address: SiteAddress,
+}
+
+impl SiteClient {
+    /// A client; nothing is connected yet.
+    pub fn new(address: SiteAddress) -> Self {
+        Self { address }
+    }
+
+    /// The address.
+    pub fn address(&self) -> &SiteAddress {
+        &self.address
+    }
+
+    /// Everything that the page of the site shows.
+    ///
+    /// # Errors
+    /// If the site cannot be reached, or refuses.
+    pub fn state(&self) -> Result<Value> {
+        self.request("GET", "/state", &[]).and_then(|body| parsed(&body)).map_err(|why| self.error(&why))
+    }
+
+    /// Withdraws, restores or trusts a robot: `action` is that word.
+    ///
+    /// # Errors
+    /// If the site cannot be reached, or refuses.
+    pub fn set_robot(&self, robot: &str, action: &str) -> Result<()> {
+        odograph_map::check_name(robot)?;
+        let done = self.request("POST", &format!("/robots/{robot}/{action}"), &[]);
+        done.map(drop).map_err(|why| self.error(&why))
+    }
+
+    pub(crate) fn describe(
+        &self,
+        description: &SessionDescription,
+    ) -> std::result::Result<SiteStatus, NoAnswer> {
+        let body = serde_json::to_vec(description).map_err(|error| NoAnswer::Refused(error.to_string()))?;
+        parsed(&self.request("POST", "/sessions", &body)?)
+    }
+
+    pub(crate) fn send(
+        &self,
+        origin: &SessionOrigin,
+        records: &[u8],
+        lost: bool,
+    ) -> std::result::Result<SiteStatus, NoAnswer> {
+        let path = format!("/records/{}/{}?lost={lost}", origin.robot, origin.key);
+        parsed(&self.request("POST", &path, records)?)
+    }
+
+    /// The sentence about a request without an answer.
+    pub(crate) fn error(&self, why: &NoAnswer) -> Error {
+        match why {
+            NoAnswer::Unreachable(why) => {
+                Error::input(format!("the site at {} cannot be reached: {why}", self.address))
+            }
+            NoAnswer::OutOfOrder => Error::input(format!("the site at {} misses records", self.address)),
+            NoAnswer::Refused(why) => Error::input(format!("the site at {} refuses: {why}", self.address)),
+        }
+    }
+
+    fn request(&self, method: &str, path: &str, body: &[u8]) -> std::result::Result<Vec<u8>, NoAnswer> {
+        let (status, answer) =
+            self.exchange(method, path, body).map_err(|error| NoAnswer::Unreachable(error.to_string()))?;
+        if status == 200 {
+            return Ok(answer);
+        }
+        let value: Value = serde_json::from_slice(&answer).unwrap_or_default();
+        let problem = value["problem"].as_str().map_or_else(|| format!("status {status}"), str::to_owned);
+        Err(match status {
+            409 if value.get("acknowledged").is_some() => NoAnswer::OutOfOrder,
+            403 => NoAnswer::Refused("the token is missing or wrong".to_owned()),
+            408 | 500.. => NoAnswer::Unreachable(problem),
+            _ => NoAnswer::Refused(problem),
+        })
+    }
+
+    /// Status code and body of the answer.
+    fn exchange(&self, method: &str, path: &str, body: &[u8]) -> io::Result<(u16, Vec<u8>)> {
+        let mut last = io::Error::new(io::ErrorKind::NotFound, "the host has no address");
+        for address in self.address.host.to_socket_addrs()? {
+            match TcpStream::connect_timeout(&address, CONNECT_PATIENCE) {
+                Ok(stream) => return self.exchange_over(stream, method, path, body),
+                Err(error) => last = error,
+            }
+        }
+        Err(last)
+    }
+
+    fn exchange_over(
+        &self,
+        stream: TcpStream,
+        method: &str,
+        path: &str,
+        body: &[u8],
+    ) -> io::Result<(u16, Vec<u8>)> {
+        stream.set_nodelay(true)?;
+        let mut stream = Deadlined::new(stream, ANSWER_PATIENCE);
+        let mut head =
+            format!("{method} {path} HTTP/1.1\r\nHost: {}\r\nConnection: close\r\n", self.address.host);
+        if let Some(token) = &self.address.token {
+            head += &format!("Authorization: Bearer {token}\r\n");
+        }
+        head += &format!("Content-Length: {}\r\n\r\n", body.len());
+        // A site that refuses early does not read the body: its answer counts.
+        let sent = stream.write_all(head.as_bytes()).and_then(|()| stream.write_all(body));
+        let mut bytes = Vec::new();
+        let mut piece = vec![0; 64 << 10];
+        loop {
+            match stream.read(&mut piece) {
+                Ok(0) => break,
+                Ok(read) => bytes.extend_from_slice(&piece[..read]),
+                Err(error) if error.kind() == io::ErrorKind::Interrupted => {}
+                Err(_) if !bytes.is_empty() => break,
+                Err(error) => return Err(sent.err().unwrap_or(error)),
+            }
+            if bytes.len() > MOST_ANSWER {
+                return Err(io::Error::other("the answer is too long"));
+            }
+        }
+        let mut space = [httparse::EMPTY_HEADER; 64];
+        let mut answer = httparse::Response::new(&mut space);
+        let length = match answer.parse(&bytes) {
+            Ok(httparse::Status::Complete(length)) => length,
+            _ => return Err(io::Error::other("the answer is not HTTP, or is cut off")),
+        };
+        let told = answer.headers.iter().find(|header| header.name.eq_ignore_ascii_case("content-length"));
+        let told =
+            told.and_then(|header| std::str::from_utf8(header.value).ok()?.trim().parse::<usize>().ok());
+        let body = &bytes[length..];
+        match told.and_then(|told| body.get(..told)) {
+            Some(body) => Ok((answer.code.unwrap_or(0), body.to_vec())),
+            None => Err(io::Error::other("the answer is cut off")),
+        }
+    }
+}
+
+fn parsed<T: serde::de::DeserializeOwned>(body: &[u8]) -> std::result::Result<T, NoAnswer> {
+    serde_json::from_slice(body)
+        .map_err(|error| NoAnswer::Unreachable(format!("its answer is none: {error}")))
+}
+
+#[cfg(test)]
+#[allow(clippy::unwrap_used)] // a test fails by panicking
+mod tests {
+    use super::*;
+
+    #[test]
+    fn addresses_are_read_as_a_site_prints_them() {
+        let read = |text: &str| text.parse::<SiteAddress>().map(|address| (address.host, address.token));
+        let token = || Some("ab-12".to_owned());
+        assert_eq!(read("http://127.0.0.1:8137/").unwrap(), ("127.0.0.1:8137".to_owned(), None));
+        assert_eq!(read("http://hall/?token=ab-12").unwrap(), ("hall:8137".to_owned(), token()));
+        assert_eq!(read("http://[::1]:80").unwrap(), ("[::1]:80".to_owned(), None));
+        assert_eq!(read("http://[::1]").unwrap(), ("[::1]:8137".to_owned(), None));
+        for text in [
+            "hall:8137",
+            "https://hall/",
+            "http:///",
+            "http://a b/",
+            "http://hall/x",
+            "http://h/?token=a\r\n",
+        ] {
+            assert!(read(text).is_err(), "{text}");
+        }
+        let address: SiteAddress = "http://hall/?token=secret-1".parse().unwrap();
+        assert!(!format!("{address:?} {address}").contains("secret"));
+    }
+}

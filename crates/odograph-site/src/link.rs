@@ -1,0 +1,365 @@
+//! A robot's link to its site: a thread that sends what is in the robot's map, as far as the
+//! network allows, and hears where the robot is in the site's.
+
+use crate::client::{NoAnswer, SiteClient};
+use crate::protocol::{MOST_BODY, SessionDescription, SiteStatus};
+use crate::record::Record;
+use odograph::error::{Error, Result};
+use odograph::ground_map::MountedCamera;
+use odograph_map::{MapFile, Outbox, SessionOrigin};
+use std::collections::BTreeSet;
+use std::path::{Path, PathBuf};
+use std::sync::atomic::{AtomicBool, Ordering};
+use std::sync::{Arc, Condvar, Mutex, PoisonError};
+use std::thread::{self, JoinHandle};
+use std::time::{Duration, Instant};
+
+/// Pause between two looks into the map.
+const LOOKS_EVERY: Duration = Duration::from_millis(500);
+/// Shortest and longest pause after a failure; each is twice the one before.
+const FIRST_PAUSE: Duration = Duration::from_millis(500);
+const LONGEST_PAUSE: Duration = Duration::from_secs(15);
+/// Most records that are read at once.
+const AT_ONCE: usize = 16;
+
+/// What became of the records.
+#[derive(Debug, Clone, PartialEq, Default)]
+pub struct LinkReport {
+    /// Number of records that the site has acknowledged since the link began.
+    pub acknowledged: u64,
+    /// Whether everything in the map has been acknowledged, its ends included.
+    pub complete: bool,
+    /// Why nothing is sent at the moment.
+    pub problem: Option<String>,
+    /// What the site said last about the newest session.
+    pub status: Option<SiteStatus>,
+}
+
+/// A running link. Dropped it ends at once; what has not been sent stays in the map.
+pub struct SiteLink {
+    shared: Arc<LinkState>,
+    thread: Option<JoinHandle<()>>,
+}
+
+impl std::fmt::Debug for SiteLink {
+    fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
+        f.debug_struct("SiteLink").field("report", &self.report()).finish_non_exhaustive()
+    }
+}
+
+#[derive(Debug, Default)]
+struct LinkState {
+    report: Mutex<LinkReport>,
+    /// Whether the map is complete: its sessions end when they are sent.
+    finishing: Mutex<bool>,
+    changed: Condvar,
+    ended: AtomicBool,
+    lost: AtomicBool,
+}
+
+/// Called with every new report, from the link's thread.
+pub type Listening = Box<dyn FnMut(&LinkReport) + Send>;
+
+impl SiteLink {
+    /// Begins to send the sessions of a robot in a map to a site. The map need not be there yet.
+    ///
+    /// # Errors
+    /// If the robot cannot be called so, or the thread cannot be started.
+    pub fn start(map: &Path, robot: &str, client: SiteClient, listening: Listening) -> Result<Self> {
+        odograph_map::check_name(robot)?;
+        let shared = Arc::new(LinkState::default());
+        let mut sending = Sending {
+            map: map.to_owned(),
+            robot: robot.to_owned(),
+            client,
+            current: None,
+            done: BTreeSet::new(),
+            shared: Arc::clone(&shared),
+            listening,
+        };
+        let thread = thread::Builder::new()
+            .name("site".into())
+            .spawn(move || sending.run())
+            .map_err(|error| Error::output(format!("the thread to the site cannot be started: {error}")))?;
+        Ok(Self { shared, thread: Some(thread) })
+    }
+
+    /// Tells whether the robot is lost at the moment; never waits.
+    pub fn set_lost(&self, lost: bool) {
+        self.shared.lost.store(lost, Ordering::Relaxed);
+    }
+
+    /// What became of the records so far.
+    pub fn report(&self) -> LinkReport {
+        self.shared.report.lock().unwrap_or_else(PoisonError::into_inner).clone()
+    }
+
+    /// Sends the rest of the map, which no program writes any more, as long as the site takes it,
+    /// and at most `patience` after its last sign of life. `keep_going` is asked in between.
+    pub fn finish(mut self, patience: Duration, keep_going: &dyn Fn() -> bool) -> LinkReport {
+        *self.shared.finishing.lock().unwrap_or_else(PoisonError::into_inner) = true;
+        self.shared.changed.notify_all();
+        let (mut heard, mut known) = (Instant::now(), 0);
+        while self.thread.as_ref().is_some_and(|thread| !thread.is_finished())
+            && heard.elapsed() < patience
+            && keep_going()
+        {
+            thread::sleep(Duration::from_millis(20));
+            let acknowledged = self.report().acknowledged;
+            if acknowledged != known {
+                (known, heard) = (acknowledged, Instant::now());
+            }
+        }
+        self.end();
+        self.report()
+    }
+
+    fn end(&mut self) {
+        self.shared.ended.store(true, Ordering::Relaxed);
+        self.shared.changed.notify_all();
+        if let Some(thread) = self.thread.take() {
+            let _ = thread.join();
+        }
+    }
+}
+
+impl Drop for SiteLink {
+    fn drop(&mut self) {
+        self.end();
+    }
+}
+
+/// What ends a round of sending.
+enum Stopped {
+    /// Worth another try.
+    ForNow(String),
+    /// The site or the map does not allow it.
+    ForGood(String),
+}
+
+struct Sending {
+    map: PathBuf,
+    robot: String,
+    client: SiteClient,
+    current: Option<Current>,
+    /// Sessions that have ended, here and there.
+    done: BTreeSet<SessionOrigin>,
+    shared: Arc<LinkState>,
+    listening: Listening,
+}
+
+/// The session that is being sent.
+struct Current {
+    origin: SessionOrigin,
+    outbox: Outbox,
+    /// Number of the last acknowledged record.
+    last: Option<u64>,
+    ended: bool,
+    /// Records that the site has not acknowledged.
+    waiting: Vec<Record>,
+    /// Whether the site has other records than was thought.
+    is_misplaced: bool,
+}
+
+impl Sending {
+    fn run(&mut self) {
+        let mut pause = FIRST_PAUSE;
+        while !self.is_ended() {
+            let finishing = self.is_finishing();
+            match self.round(finishing) {
+                Ok(()) => {
+                    pause = FIRST_PAUSE;
+                    self.report(|report| {
+                        report.problem = None;
+                        report.complete = finishing;
+                    });
+                    if finishing {
+                        return;
+                    }
+                    self.wait(LOOKS_EVERY, finishing);
+                }
+                Err(Stopped::ForNow(problem)) => {
+                    self.report(|report| report.problem = Some(problem));
+                    self.wait(pause, finishing);
+                    pause = LONGEST_PAUSE.min(2 * pause);
+                }
+                Err(Stopped::ForGood(problem)) => {
+                    self.report(|report| report.problem = Some(problem));
+                    return;
+                }
+            }
+        }
+    }
+
+    /// Sends everything that is in the map now.
+    fn round(&mut self, finishing: bool) -> std::result::Result<(), Stopped> {
+        if !MapFile::is_there(&self.map) {
+            return Ok(());
+        }
+        // The file is open only while it is read, so that its writer can close it. It may be about
+        // to be replaced.
+        let open = |path: &Path| MapFile::open_read_only(path).map_err(|e| Stopped::ForNow(e.to_string()));
+        let sessions = {
+            let file = open(&self.map)?;
+            file.sessions().map_err(|error| Stopped::ForNow(error.to_string()))?
+        };
+        let own: Vec<_> = sessions
+            .into_iter()
+            .filter_map(|session| Some((session.origin?, session.id, session.source)))
+            .filter(|(origin, ..)| origin.robot == self.robot)
+            .collect();
+        let newest = own.last().map(|(origin, ..)| origin.clone());
+        for (origin, session, source) in own {
+            // An earlier session has ended with the program that wrote it.
+            let is_over = finishing || Some(&origin) != newest.as_ref();
+            if self.done.contains(&origin) {
+                continue;
+            }
+            if self.current.as_ref().is_none_or(|current| current.origin != origin) {
+                let file = open(&self.map)?;
+                let mounted = match file.other_cameras().get(&session) {
+                    Some(mounted) => mounted.clone(),
+                    None => MountedCamera { camera: file.camera().clone(), rig: *file.rig() },
+                };
+                let description = SessionDescription {
+                    robot: origin.robot.clone(),
+                    key: origin.key.clone(),
+                    source,
+                    camera: mounted.camera,
+                    rig: mounted.rig,
+                };
+                let outbox =
+                    Outbox::new(&file, &origin).map_err(|error| Stopped::ForNow(error.to_string()))?;
+                drop(file);
+                let status = self.client.describe(&description).map_err(|why| self.stopped(&why))?;
+                let (last, ended) = (status.acknowledged, status.ended);
+                self.heard(status, 0);
+                self.current = Some(Current {
+                    origin: origin.clone(),
+                    outbox,
+                    last,
+                    ended,
+                    waiting: Vec::new(),
+                    is_misplaced: false,
+                });
+            }
+            while self.send_some(is_over)? {
+                if self.is_ended() {
+                    return Ok(());
+                }
+            }
+            if is_over {
+                self.done.insert(origin);
+                self.current = None;
+            }
+        }
+        Ok(())
+    }
+
+    /// Sends some records of the current session. Returns whether there may be more.
+    fn send_some(&mut self, is_over: bool) -> std::result::Result<bool, Stopped> {
+        let Some(mut current) = self.current.take() else { return Ok(false) };
+        let more = self.send_some_of(&mut current, is_over);
+        // The map is read again from where the site is.
+        self.current = (!current.is_misplaced).then_some(current);
+        more
+    }
+
+    fn send_some_of(&mut self, current: &mut Current, is_over: bool) -> std::result::Result<bool, Stopped> {
+        if current.ended {
+            return Ok(false);
+        }
+        let mut read_all = false;
+        if current.waiting.is_empty() {
+            let failed = |error: Error| Stopped::ForNow(error.to_string());
+            let file = MapFile::open_read_only(&self.map).map_err(failed)?;
+            let records = current.outbox.next(&file, AT_ONCE).map_err(failed)?;
+            read_all = records.is_empty();
+            let mut after = current.last;
+            for record in records {
+                if current.last.is_some_and(|last| record.number <= last) {
+                    continue;
+                }
+                let number = record.number;
+                current.waiting.push(Record::new(record, after));
+                after = Some(number);
+            }
+            if read_all && is_over {
+                let rest = current.outbox.rest(&file).map_err(failed)?;
+                current.waiting.push(Record::end(current.last, &rest));
+            }
+        }
+        if current.waiting.is_empty() && !read_all {
+            return Ok(true);
+        }
+        let mut body = Vec::new();
+        let mut sent = 0;
+        for record in &current.waiting {
+            let bytes = record.to_bytes().map_err(|error| Stopped::ForGood(error.to_string()))?;
+            if sent > 0 && body.len() + bytes.len() > MOST_BODY {
+                break;
+            }
+            body.extend(bytes);
+            sent += 1;
+        }
+        let lost = self.shared.lost.load(Ordering::Relaxed);
+        // Without records this is a sign of life, and asks where the robot is.
+        match self.client.send(&current.origin, &body, lost) {
+            Ok(status) => {
+                (current.last, current.ended) = (status.acknowledged, status.ended);
+                current.waiting.drain(..sent);
+                self.heard(status, sent as u64);
+                Ok(!current.waiting.is_empty() || !read_all)
+            }
+            Err(why) => {
+                if matches!(why, NoAnswer::OutOfOrder) {
+                    current.is_misplaced = true;
+                }
+                Err(self.stopped(&why))
+            }
+        }
+    }
+
+    fn stopped(&self, why: &NoAnswer) -> Stopped {
+        let problem = self.client.error(why).to_string();
+        match why {
+            NoAnswer::Unreachable(_) | NoAnswer::OutOfOrder => Stopped::ForNow(problem),
+            NoAnswer::Refused(_) => Stopped::ForGood(problem),
+        }
+    }
+
+    fn heard(&mut self, status: SiteStatus, records: u64) {
+        self.report(|report| {
+            report.acknowledged += records;
+            report.status = Some(status);
+        });
+    }
+
+    /// Changes the report, and passes it on if that made a difference.
+    fn report(&mut self, change: impl FnOnce(&mut LinkReport)) {
+        let changed = {
+            let mut report = self.shared.report.lock().unwrap_or_else(PoisonError::into_inner);
+            let before = report.clone();
+            change(&mut report);
+            (*report != before).then(|| report.clone())
+        };
+        if let Some(report) = changed {
+            (self.listening)(&report);
+        }
+    }
+
+    fn is_ended(&self) -> bool {
+        self.shared.ended.load(Ordering::Relaxed)
+    }
+
+    fn is_finishing(&self) -> bool {
+        *self.shared.finishing.lock().unwrap_or_else(PoisonError::into_inner)
+    }
+
+    /// Waits, but not longer than until the link is to finish or to end.
+    fn wait(&self, pause: Duration, finishing: bool) {
+        let known = self.shared.finishing.lock().unwrap_or_else(PoisonError::into_inner);
+        let unchanged = |now: &mut bool| *now == finishing && !self.is_ended();
+        drop(self.shared.changed.wait_timeout_while(known, pause, unchanged));
+    }
+}

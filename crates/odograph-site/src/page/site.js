@@ -1,0 +1,163 @@
+// The page of a site: the paths of all robots over the mosaic, and a table of them.
+"use strict";
+
+const COLORS = ["#e6194b", "#3477eb", "#1a9641", "#f58231", "#911eb4", "#008b8b", "#b8860b", "#d6409f"];
+const canvas = document.getElementById("map");
+const context = canvas.getContext("2d");
+let state = null;
+let mosaic = null; // { image, metres, x, y }
+let mosaicShown = -1;
+let view = null; // { x, y, metres }: the middle, and metres of a pixel
+
+function colorOf(robot) {
+  const names = Object.keys(state.robots).sort();
+  return COLORS[names.indexOf(robot) % COLORS.length];
+}
+
+function everything() {
+  let box = null;
+  const add = (x, y) => {
+    box = box ? [Math.min(box[0], x), Math.min(box[1], y), Math.max(box[2], x), Math.max(box[3], y)] : [x, y, x, y];
+  };
+  for (const session of state.sessions) session.path.forEach(([x, y]) => add(x, y));
+  if (!box) return { x: 0, y: 0, metres: 0.01 };
+  const width = Math.max(1, box[2] - box[0]), height = Math.max(1, box[3] - box[1]);
+  const metres = 1.2 * Math.max(width / canvas.width, height / canvas.height);
+  return { x: (box[0] + box[2]) / 2, y: (box[1] + box[3]) / 2, metres };
+}
+
+function place(x, y) {
+  return [canvas.width / 2 + (x - view.x) / view.metres, canvas.height / 2 - (y - view.y) / view.metres];
+}
+
+function line(points) {
+  context.beginPath();
+  points.forEach(([x, y]) => context.lineTo(...place(x, y)));
+  context.stroke();
+}
+
+function draw() {
+  const scale = window.devicePixelRatio || 1;
+  canvas.width = canvas.clientWidth * scale;
+  canvas.height = canvas.clientHeight * scale;
+  if (!state) return;
+  const seen = view;
+  view = view || everything();
+  if (mosaic) {
+    const [left, top] = place(mosaic.x - mosaic.metres / 2, mosaic.y + mosaic.metres / 2);
+    const zoom = mosaic.metres / view.metres;
+    context.drawImage(mosaic.image, left, top, mosaic.image.width * zoom, mosaic.image.height * zoom);
+  }
+  context.lineWidth = 2 * scale;
+  for (const session of state.sessions) {
+    context.strokeStyle = context.fillStyle = colorOf(session.robot);
+    context.setLineDash(session.connected ? [] : [6 * scale, 6 * scale]);
+    line(session.path);
+    context.setLineDash([]);
+    const last = session.path[session.path.length - 1];
+    if (!last || session.condition === "ended") continue;
+    const [x, y] = place(last[0], last[1]);
+    const along = (turn, far) => [x + far * Math.cos(last[2] + turn), y - far * Math.sin(last[2] + turn)];
+    context.beginPath();
+    context.moveTo(...along(0, 12 * scale));
+    context.lineTo(...along(2.5, 9 * scale));
+    context.lineTo(...along(-2.5, 9 * scale));
+    context.closePath();
+    context.fill();
+    if (session.condition === "lost") {
+      context.strokeStyle = "#c33";
+      context.beginPath();
+      context.arc(x, y, 18 * scale, 0, 2 * Math.PI);
+      context.stroke();
+    }
+  }
+  context.strokeStyle = "#fffc";
+  context.lineWidth = scale;
+  for (const [ax, ay, bx, by] of state.loops) line([[ax, ay], [bx, by]]);
+  view = seen;
+}
+
+function cell(text, name) {
+  const cell = document.createElement("td");
+  cell.textContent = text;
+  if (name) cell.className = name;
+  return cell;
+}
+
+function list() {
+  const rows = state.sessions.slice().reverse().map((session) => {
+    const row = document.createElement("tr");
+    const robot = state.robots[session.robot] || { state: "active" };
+    const swatch = document.createElement("span");
+    swatch.className = "swatch";
+    swatch.style.background = colorOf(session.robot);
+    const first = document.createElement("td");
+    first.append(swatch);
+    const merged = robot.state === "active" || robot.state === "trusted";
+    let condition = merged ? session.condition : robot.state;
+    if (merged && !session.connected) condition += ", not recognised yet";
+    const told = cell(condition, merged ? session.condition : "quarantined");
+    if (!merged && robot.reason) {
+      const reason = document.createElement("div");
+      reason.className = "reason";
+      reason.textContent = robot.reason;
+      told.append(reason);
+    }
+    const name = cell(session.robot);
+    name.title = session.source + ", session " + session.key;
+    row.append(first, name, told, cell(session.keyframes + " of " + session.records), cell(session.loops));
+    return row;
+  });
+  document.getElementById("robots").replaceChildren(...rows);
+  const count = Object.keys(state.robots).length;
+  document.getElementById("summary").textContent =
+    `${count} robot${count === 1 ? "" : "s"}, ${state.loops.length} loops between them, version ${state.version} of the map`;
+}
+
+function problem(text) {
+  const place = document.getElementById("problem");
+  place.hidden = !text;
+  place.textContent = text || "";
+}
+
+async function loadMosaic(version) {
+  const answer = await fetch("mosaic.png");
+  if (!answer.ok) return;
+  const [metres, x, y] = answer.headers.get("X-Placement").split(" ").map(Number);
+  mosaic = { image: await createImageBitmap(await answer.blob()), metres, x, y };
+  mosaicShown = version;
+}
+
+async function look() {
+  try {
+    const answer = await fetch("state");
+    if (!answer.ok) throw new Error(answer.statusText);
+    state = await answer.json();
+    if (state.mosaic !== mosaicShown) await loadMosaic(state.mosaic);
+    list();
+    problem(state.failure && "The site does not merge any more: " + state.failure);
+  } catch (error) {
+    problem("The site does not answer: " + error.message);
+  }
+  draw();
+  setTimeout(look, 1000);
+}
+
+canvas.addEventListener("wheel", (event) => {
+  event.preventDefault();
+  if (!state) return;
+  view = view || everything();
+  view.metres *= Math.exp(event.deltaY / 400);
+  draw();
+}, { passive: false });
+canvas.addEventListener("pointermove", (event) => {
+  if (!event.buttons || !state) return;
+  view = view || everything();
+  const scale = window.devicePixelRatio || 1;
+  view.x -= event.movementX * scale * view.metres;
+  view.y += event.movementY * scale * view.metres;
+  draw();
+});
+canvas.addEventListener("dblclick", () => { view = null; draw(); });
+window.addEventListener("resize", draw);
+look();

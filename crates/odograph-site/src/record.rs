@@ -1,0 +1,343 @@
+//! A record on its way and in the store: the length of a head (4 bytes, little-endian), the head as
+//! JSON, the length of an image (4 bytes), the image as JPEG.
+
+use nalgebra::{Matrix4, Matrix6, Vector4};
+use odograph::error::{Error, Result};
+use odograph::geometry::GroundPose;
+use odograph::keyframe::{EdgeKind, KeyframeId, MapEdge};
+use odograph_map::{OutgoingRecord, StoredImage};
+use serde::{Deserialize, Serialize};
+
+/// Longest head, bytes.
+const MOST_HEAD: usize = 1 << 20;
+/// Largest image, bytes.
+const MOST_IMAGE: usize = 12 << 20;
+/// Most edges of a record.
+const MOST_EDGES: usize = 4096;
+/// Largest coordinate, metres, and time, seconds.
+const FARTHEST: f64 = 1e12;
+
+/// A record of a session.
+#[derive(Debug, Clone, PartialEq)]
+pub struct Record {
+    /// Everything but the image.
+    pub head: RecordHead,
+    /// The image of a keyframe; of the end of a session there is none.
+    pub image: Option<StoredImage>,
+}
+
+/// Everything of a record but the image.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct RecordHead {
+    /// Its number: that of its keyframe. The end of a session has the number after the last.
+    pub number: u64,
+    /// Number of the record before it; `None` of the first.
+    pub after: Option<u64>,
+    /// The keyframe; `None` at the end of the session.
+    pub keyframe: Option<KeyframeHead>,
+    /// Edges between keyframes of the session, none later than this one.
+    pub edges: Vec<EdgeHead>,
+}
+
+/// A keyframe as odometry gave it.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct KeyframeHead {
+    frame: u64,
+    segment: usize,
+    time_s: f64,
+    /// x, y, heading, height, roll, pitch in the odometry frame.
+    pose: [f64; 6],
+    /// Covariance of roll and pitch: of roll, of both, of pitch.
+    tilt_covariance: [f64; 3],
+    colored: bool,
+    luma_scale: f64,
+    luma_offset: f64,
+}
+
+/// An edge between keyframes of the session, by their numbers.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct EdgeHead {
+    from: u64,
+    to: u64,
+    kind: EdgeKindName,
+    motion: [f64; 4],
+    /// Upper triangle of the covariance, row by row.
+    covariance: [f64; 10],
+}
+
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(rename_all = "lowercase")]
+enum EdgeKindName {
+    Odometry,
+    Gap,
+    Loop,
+}
+
+impl Record {
+    /// The record of an outbox, after the one with the number `after`.
+    pub fn new(record: OutgoingRecord, after: Option<u64>) -> Self {
+        let OutgoingRecord { number, keyframe, edges, image } = record;
+        let pose = &keyframe.odometry_pose;
+        let head = KeyframeHead {
+            frame: keyframe.frame,
+            segment: keyframe.segment,
+            time_s: keyframe.time_s,
+            pose: [pose.x_m, pose.y_m, pose.heading_rad, pose.height_m, pose.roll_rad, pose.pitch_rad],
+            tilt_covariance: [(4, 4), (4, 5), (5, 5)].map(|at| keyframe.covariance[at]),
+            colored: image.colored,
+            luma_scale: image.luma_scale,
+            luma_offset: image.luma_offset,
+        };
+        let edges = edges.iter().map(EdgeHead::new).collect();
+        Self { head: RecordHead { number, after, keyframe: Some(head), edges }, image: Some(image) }
+    }
+
+    /// The end of a session whose last record has the number `after`.
+    pub fn end(after: Option<u64>, edges: &[MapEdge]) -> Self {
+        let number = after.map_or(0, |after| after + 1);
+        let edges = edges.iter().map(EdgeHead::new).collect();
+        Self { head: RecordHead { number, after, keyframe: None, edges }, image: None }
+    }
+
+    /// The record as bytes. Fails if it is larger than a record may be.
+    pub fn to_bytes(&self) -> Result<Vec<u8>> {
+        let head = serde_json::to_vec(&self.head)
+            .map_err(|error| Error::input(format!("a record cannot be written: {error}")))?;
+        let image = self.image.as_ref().map_or(&[][..], |image| &image.jpeg);
+        if head.len() > MOST_HEAD || image.len() > MOST_IMAGE || self.head.edges.len() > MOST_EDGES {
+            return Err(Error::input(format!(
+                "keyframe {} is larger than a record may be",
+                self.head.number
+            )));
+        }
+        let mut bytes = Vec::with_capacity(8 + head.len() + image.len());
+        for part in [head.as_slice(), image] {
+            bytes.extend((part.len() as u32).to_le_bytes());
+            bytes.extend_from_slice(part);
+        }
+        Ok(bytes)
+    }
+
+    /// Splits a body into the bytes of its records. Fails if it is no sequence of records.
+    pub fn split(mut body: &[u8]) -> Result<Vec<&[u8]>> {
+        let mut records = Vec::new();
+        while !body.is_empty() {
+            let (head, rest) = part(body, MOST_HEAD)?;
+            let (image, rest) = part(rest, MOST_IMAGE)?;
+            let (record, _) = body.split_at(8 + head.len() + image.len());
+            records.push(record);
+            body = rest;
+        }
+        Ok(records)
+    }
+
+    /// Reads a record. Fails, with what is wrong, if it is none.
+    pub fn from_bytes(bytes: &[u8]) -> Result<Self> {
+        let (head, rest) = part(bytes, MOST_HEAD)?;
+        let (image, rest) = part(rest, MOST_IMAGE)?;
+        if !rest.is_empty() {
+            return Err(malformed("is longer than it says"));
+        }
+        let head: RecordHead = serde_json::from_slice(head)
+            .map_err(|error| malformed(&format!("has a head that is none: {error}")))?;
+        let number = head.number;
+        let sound = head.after.is_none_or(|after| after < number) && number < u64::MAX >> 2;
+        if !sound || head.edges.len() > MOST_EDGES {
+            return Err(malformed("has a number that it cannot have, or too many edges"));
+        }
+        let (last, is_end) = (number, head.keyframe.is_none());
+        let known = |end: u64| if is_end { end < last } else { end <= last };
+        if !head.edges.iter().all(|edge| edge.is_sound() && known(edge.from) && known(edge.to)) {
+            return Err(malformed("has an edge that no robot measures"));
+        }
+        let image = match &head.keyframe {
+            Some(keyframe) if !keyframe.is_sound() => {
+                return Err(malformed("has a keyframe that no camera takes"));
+            }
+            Some(keyframe) => Some(StoredImage {
+                colored: keyframe.colored,
+                luma_scale: keyframe.luma_scale,
+                luma_offset: keyframe.luma_offset,
+                jpeg: image.to_vec(),
+            }),
+            None if image.is_empty() => None,
+            None => return Err(malformed("has an image without a keyframe")),
+        };
+        Ok(Self { head, image })
+    }
+}
+
+impl KeyframeHead {
+    fn is_sound(&self) -> bool {
+        let [.., height_m, roll, pitch] = self.pose;
+        let numbers = self.pose.iter().chain(&self.tilt_covariance).chain([
+            &self.time_s,
+            &self.luma_scale,
+            &self.luma_offset,
+        ]);
+        numbers.into_iter().all(|value| value.abs() < FARTHEST)
+            && height_m > 0.0
+            && roll.abs() < 1.6
+            && pitch.abs() < 1.6
+            && self.segment < 1 << 40
+    }
+
+    /// Number of its frame, number of gaps before it, and its time, seconds.
+    pub fn place_in_source(&self) -> (u64, usize, f64) {
+        (self.frame, self.segment, self.time_s)
+    }
+
+    /// The pose in the odometry frame.
+    pub fn pose(&self) -> GroundPose {
+        let [x_m, y_m, heading_rad, height_m, roll_rad, pitch_rad] = self.pose;
+        GroundPose { x_m, y_m, heading_rad, height_m, roll_rad, pitch_rad }
+    }
+
+    /// Covariance of the pose, of which only roll and pitch are known here.
+    pub fn covariance(&self) -> Matrix6<f64> {
+        let mut covariance = Matrix6::zeros();
+        let [roll, both, pitch] = self.tilt_covariance;
+        covariance[(4, 4)] = roll;
+        (covariance[(4, 5)], covariance[(5, 4)]) = (both, both);
+        covariance[(5, 5)] = pitch;
+        covariance
+    }
+}
+
+impl EdgeHead {
+    fn new(edge: &MapEdge) -> Self {
+        let mut covariance = [0.0; 10];
+        for (value, (row, column)) in covariance.iter_mut().zip(triangle()) {
+            *value = edge.covariance[(row, column)];
+        }
+        let kind = match edge.kind {
+            EdgeKind::Odometry => EdgeKindName::Odometry,
+            EdgeKind::Gap => EdgeKindName::Gap,
+            EdgeKind::Loop => EdgeKindName::Loop,
+        };
+        Self { from: edge.from.0, to: edge.to.0, kind, motion: edge.motion.into(), covariance }
+    }
+
+    fn is_sound(&self) -> bool {
+        let [x_m, y_m, heading_rad, log_height_ratio] = self.motion;
+        self.from != self.to
+            && [x_m, y_m, heading_rad].iter().all(|value| value.abs() < FARTHEST)
+            && log_height_ratio.abs() < 10.0
+            && self.covariance.iter().all(|value| value.abs() < FARTHEST)
+            && triangle().zip(self.covariance).all(|((row, column), value)| row != column || value >= 0.0)
+    }
+
+    /// The edge between the keyframes of a map; `None` where that lacks one of them.
+    pub fn edge(&self, id: impl Fn(u64) -> Option<KeyframeId>) -> Option<MapEdge> {
+        let mut covariance = Matrix4::zeros();
+        for ((row, column), value) in triangle().zip(self.covariance) {
+            covariance[(row, column)] = value;
+            covariance[(column, row)] = value;
+        }
+        let kind = match self.kind {
+            EdgeKindName::Odometry => EdgeKind::Odometry,
+            EdgeKindName::Gap => EdgeKind::Gap,
+            EdgeKindName::Loop => EdgeKind::Loop,
+        };
+        Some(MapEdge {
+            from: id(self.from)?,
+            to: id(self.to)?,
+            kind,
+            motion: Vector4::from(self.motion),
+            covariance,
+        })
+    }
+}
+
+/// Rows and columns of the upper triangle of a 4 x 4 matrix.
+fn triangle() -> impl Iterator<Item = (usize, usize)> {
+    (0..4).flat_map(|row| (row..4).map(move |column| (row, column)))
+}
+
+/// The part that bytes begin with, and the rest.
+fn part(bytes: &[u8], most: usize) -> Result<(&[u8], &[u8])> {
+    let cut = || malformed("is cut off");
+    let (length, rest) = bytes.split_first_chunk::<4>().ok_or_else(cut)?;
+    let length = u32::from_le_bytes(*length) as usize;
+    if length > most {
+        return Err(malformed("is too large"));
+    }
+    rest.split_at_checked(length).ok_or_else(cut)
+}
+
+fn malformed(what: &str) -> Error {
+    Error::input(format!("a record {what}"))
+}
+
+#[cfg(test)]
+#[allow(clippy::unwrap_used)] // a test fails by panicking
+mod tests {
+    use super::*;
+
+    fn record(number: u64) -> Record {
+        let keyframe = KeyframeHead {
+            frame: 10 * number,
+            segment: 0,
+            time_s: 0.1,
+            pose: [1.0, -2.0, 0.3, 1.2, 0.01, -0.02],
+            tilt_covariance: [1e-6, 1e-7, 2e-6],
+            colored: false,
+            luma_scale: 1.0,
+            luma_offset: 0.0,
+        };
+        let edge = MapEdge {
+            from: KeyframeId(number - 1),
+            to: KeyframeId(number),
+            kind: EdgeKind::Odometry,
+            motion: Vector4::new(0.2, 0.01, 0.02, 0.0),
+            covariance: Matrix4::identity() * 1e-6,
+        };
+        let head = RecordHead {
+            number,
+            after: Some(number - 1),
+            keyframe: Some(keyframe),
+            edges: vec![EdgeHead::new(&edge)],
+        };
+        let image = StoredImage { colored: false, luma_scale: 1.0, luma_offset: 0.0, jpeg: vec![1, 2, 3] };
+        Record { head, image: Some(image) }
+    }
+
+    #[test]
+    fn records_are_read_back_from_a_body() {
+        let records = [record(1), record(2), Record::end(Some(2), &[])];
+        let body: Vec<u8> = records.iter().flat_map(|record| record.to_bytes().unwrap()).collect();
+        let parts = Record::split(&body).unwrap();
+        let back: Vec<Record> = parts.iter().map(|bytes| Record::from_bytes(bytes).unwrap()).collect();
+        assert_eq!(back, records);
+        let edge = back[1].head.edges[0].edge(|number| Some(KeyframeId(100 + number))).unwrap();
+        assert_eq!((edge.from, edge.to), (KeyframeId(101), KeyframeId(102)));
+        assert_eq!(edge.covariance, Matrix4::identity() * 1e-6);
+    }
+
+    #[test]
+    fn what_is_no_record_is_refused() {
+        let good = record(3);
+        let bytes = good.to_bytes().unwrap();
+        for end in 1..bytes.len() {
+            assert!(Record::split(&bytes[..end]).is_err(), "{end}");
+        }
+        assert!(Record::split(&u32::MAX.to_le_bytes()).is_err());
+        let refused = |change: &dyn Fn(&mut Record)| {
+            let mut record = good.clone();
+            change(&mut record);
+            Record::from_bytes(&record.to_bytes().unwrap()).is_err()
+        };
+        assert!(!refused(&|_| {}));
+        assert!(refused(&|record| record.head.after = Some(3)));
+        assert!(refused(&|record| record.head.edges[0].to = 4));
+        assert!(refused(&|record| record.head.edges[0].from = 3));
+        assert!(refused(&|record| record.head.edges[0].covariance[0] = -1.0));
+        assert!(refused(&|record| record.head.edges[0].motion[1] = f64::NAN));
+        assert!(refused(&|record| record.head.keyframe.as_mut().unwrap().pose[3] = 0.0));
+        assert!(refused(&|record| record.head.keyframe.as_mut().unwrap().time_s = 1e300));
+        assert!(refused(&|record| record.head.keyframe = None));
+    }
+}
