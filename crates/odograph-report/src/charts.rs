@@ -20,7 +20,7 @@ pub fn over_time(frames: &[FrameSummary], figures: &RunFigures, page: &mut Strin
     let shading = if figures.lost.is_empty() { "" } else { " Shaded: lost." };
     let _ = writeln!(
         page,
-        "<h2>Over time</h2>\n<p class=\"quiet\">Every frame of the run.{shading}</p>\n<div class=\"plots\">"
+        "<h2>Over time</h2>\n<p class=\"quiet\">Every frame of the run.{shading}</p>\n<p class=\"readout\" data-hint=\"\"></p>\n<div class=\"plots\">"
     );
     let mut figure = |name: &str, says: &str, series: &[Series<'_>], range: Range| {
         let _ = writeln!(

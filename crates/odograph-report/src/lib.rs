@@ -20,6 +20,7 @@ pub mod calibration;
 mod charts;
 pub mod evaluation_plot;
 mod figures;
+mod ground_view;
 mod page;
 mod parts;
 mod photograph;

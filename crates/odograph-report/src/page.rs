@@ -3,16 +3,15 @@
 use super::charts::over_time;
 use super::evaluation_plot;
 use super::figures::{RunFigures, sigmas, weakest};
+use super::ground_view::{path_over_ground, script};
 use super::parts::{card, head, number, warnings};
-use crate::photograph::photograph;
 use odograph::camera::Distortion;
 use odograph::drawing::MapDrawing;
 use odograph::drawing::scale::{duration_text, length_text};
 use odograph::drawing::svg::escape;
 use odograph::filter::fusion::SensorReport;
-use odograph::geometry::GroundPoint;
 use odograph::trajectory::FrameSummary;
-use odograph_session::{ComparedReference, ReportInput, ReportMosaic};
+use odograph_session::{ComparedReference, ReportInput};
 use std::fmt::Write;
 
 /// Maximum number of rows in the table of losses; further ones are only counted.
@@ -27,19 +26,22 @@ pub fn html(input: &ReportInput<'_>) -> String {
     });
     let _ = writeln!(page, "<p class=\"lead\">{interrupted}{}</p>", lead(&figures));
     warnings(input.warnings, &mut page);
+    path_over_ground(input, &mut page);
     cards(&figures, &mut page);
-    ground(input, &mut page);
-    beside(input.reference, &mut page);
     over_time(input.frames, &figures, &mut page);
+    drawing(input, &mut page);
+    beside(input.reference, &mut page);
     doubts(input.frames, &figures, &mut page);
     sensors(input.sensors, &mut page);
     parameters(input, &mut page);
     let _ = write!(
         page,
         "<footer>Made by odograph {}. Lengths are in metres over ground; x is forward and y is left at the start, headings count \
-         counter-clockwise. Times count from the first frame.</footer>\n</main>\n</body>\n</html>\n",
+         counter-clockwise. Times count from the first frame.</footer>\n</main>\n",
         env!("CARGO_PKG_VERSION")
     );
+    script(input.frames, &mut page);
+    page.push_str("</body>\n</html>\n");
     page
 }
 
@@ -157,21 +159,8 @@ fn position_text(x_m: f64, y_m: f64) -> String {
     format!("{}, {} {unit}", number(x_m / size_m, decimals), number(y_m / size_m, decimals))
 }
 
-/// The ground with the path over it, and the drawing of the path.
-fn ground(input: &ReportInput<'_>, page: &mut String) {
-    if let Some(mosaic) = &input.mosaic {
-        let _ = writeln!(
-            page,
-            "<h2>The path over the ground</h2>\n<figure><figcaption><span>The frames, orthorectified at their poses, and the \
-             path: <span class=\"key green\">start</span><span class=\"key red\">end</span>A pixel of {} is {} wide; its \
-             world file has its position.</span></figcaption>\n<div class=\"over\">\
-             {}{}</div></figure>",
-            escape(mosaic.file_name),
-            length_text(mosaic.placement.metres_per_pixel),
-            photograph(mosaic.picture, "Mosaic of the ground with the path"),
-            path_over(mosaic, input.frames)
-        );
-    }
+/// The drawing of the path.
+fn drawing(input: &ReportInput<'_>, page: &mut String) {
     let narrow = MapDrawing { width: 460.0, ..MapDrawing::default() }.svg(input.frames);
     let _ = writeln!(
         page,
@@ -180,46 +169,6 @@ fn ground(input: &ReportInput<'_>, page: &mut String) {
          <div class=\"wide\">{}</div><div class=\"narrow\">{narrow}</div></figure>",
         input.map_svg
     );
-}
-
-/// The path in the pixels of the mosaic: a line for each segment, without points that no pixel
-/// separates.
-fn path_over(mosaic: &ReportMosaic<'_>, frames: &[FrameSummary]) -> String {
-    let mut lines: Vec<(u32, Vec<(f64, f64)>)> = vec![];
-    for frame in frames {
-        let Some(place) = &frame.place else { continue };
-        let at = mosaic.picture.placement.pixel_from_ground(GroundPoint::new(place.x_m, place.y_m));
-        match lines.last_mut() {
-            Some((segment, line)) if *segment == frame.segment => {
-                let last = line[line.len() - 1];
-                if (at.0 - last.0).hypot(at.1 - last.1) > 1.0 {
-                    line.push(at);
-                }
-            }
-            _ => lines.push((frame.segment, vec![at])),
-        }
-    }
-    // Pixel centres are at integers: the picture begins half a pixel before the first.
-    let mut svg = format!(
-        "<svg viewBox=\"-0.5 -0.5 {} {}\" aria-hidden=\"true\">",
-        mosaic.picture.width, mosaic.picture.height
-    );
-    for class in ["casing", "path"] {
-        for (_, line) in &lines {
-            let points: Vec<String> = line.iter().map(|(x, y)| format!("{x:.1},{y:.1}")).collect();
-            let _ = write!(svg, "<polyline class=\"{class}\" points=\"{}\"/>", points.join(" "));
-        }
-    }
-    let radius = mosaic.picture.width.max(mosaic.picture.height) as f64 / 130.0;
-    let ends =
-        lines.first().and_then(|(_, line)| line.first()).zip(lines.last().and_then(|(_, line)| line.last()));
-    // The start is a ring around the end, which may lie on it.
-    for (class, (x, y), radius) in
-        ends.into_iter().flat_map(|(start, end)| [("start", start, 1.6 * radius), ("end", end, radius)])
-    {
-        let _ = write!(svg, "<circle class=\"{class}\" cx=\"{x:.1}\" cy=\"{y:.1}\" r=\"{radius:.1}\"/>");
-    }
-    svg + "</svg>"
 }
 
 fn beside(reference: Option<&ComparedReference>, page: &mut String) {

@@ -44,6 +44,14 @@ impl<'a> TimeAxis<'a> {
         Self { times_s, shaded_s, span_s: if longest > 0.0 { longest } else { 1.0 } }
     }
 
+    /// Where the axis lies in every plot, and its length in seconds, as JSON.
+    pub fn json(&self) -> String {
+        format!(
+            "{{\"left\":{LEFT},\"right\":{RIGHT},\"top\":{TOP},\"bottom\":{BOTTOM},\"span\":{}}}",
+            self.span_s
+        )
+    }
+
     /// The unit of the labels, and its length in seconds.
     fn unit(&self) -> (&'static str, f64) {
         match self.span_s {

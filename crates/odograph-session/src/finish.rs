@@ -365,11 +365,15 @@ impl Finishing<'_> {
             _ => None,
         };
         let loops = self.tracked.mapping.loops();
+        let keyframes = self.tracked.mapping.own_places();
+        let marks = std::mem::take(&mut self.tracked.marks);
         let tracked = &mut self.tracked;
         let shown = pictures::DrawingInputs {
             description,
             frames,
             loops: &loops,
+            keyframes: &keyframes,
+            marks: &marks,
             mosaic: &mosaic,
             sensors,
             reference: compared.as_ref(),

@@ -95,7 +95,7 @@ pub use output::MapUse;
 pub use place::PlaceInMap;
 pub use plan::{FrameChoice, RunPlan, SourcePlan};
 pub use reference::ComparedReference;
-pub use report::{ReportInput, ReportMosaic, RunReporter};
+pub use report::{ReportInput, ReportMark, ReportMosaic, RunReporter};
 pub use resemblance::{AlikePlace, Resemblance, ResemblanceVerdict};
 pub use rig::{doubtful_unit, read_rig};
 pub use run::Run;

@@ -207,6 +207,13 @@ impl Mapping {
         own.map(|keyframe| (keyframe.id, keyframe.frame))
     }
 
+    /// Positions of the camera at the keyframes of this run.
+    pub fn own_places(&self) -> Vec<GroundPoint> {
+        let session = self.mapper.session();
+        let own = self.mapper.map().keyframes.iter().filter(|keyframe| keyframe.session == session);
+        own.map(|keyframe| GroundPoint::new(keyframe.pose.x_m, keyframe.pose.y_m)).collect()
+    }
+
     /// The image of a keyframe. Fails where it cannot be read back.
     pub fn image(&mut self, keyframe: KeyframeId) -> Result<KeyframeImage> {
         self.file.load(keyframe)

@@ -6,7 +6,7 @@ use crate::mapping::Mapping;
 use crate::observer::Observer;
 use crate::plan::RunPlan;
 use crate::reference::ComparedReference;
-use crate::report::{ReportInput, ReportMosaic, RunReporter};
+use crate::report::{ReportInput, ReportMark, ReportMosaic, RunReporter};
 use odograph::drawing::{Backdrop, MapDrawing};
 use odograph::error::Result;
 use odograph::filter::fusion::SensorReport;
@@ -24,6 +24,10 @@ pub struct DrawingInputs<'a> {
     pub frames: &'a [FrameSummary],
     /// Poses of the camera at recognised places, and the earlier poses.
     pub loops: &'a [[GroundPoint; 2]],
+    /// Poses of the camera at the keyframes of the run.
+    pub keyframes: &'a [GroundPoint],
+    /// Marks set during a live run.
+    pub marks: &'a [ReportMark],
     pub mosaic: &'a Mosaic,
     pub sensors: &'a [SensorReport],
     /// Reference trajectory for comparison.
@@ -128,6 +132,9 @@ pub fn write_page(
         camera: &plan.camera,
         rig: &plan.rig,
         map_svg: &drawn.path_svg,
+        keyframes: shown.keyframes,
+        loops: shown.loops,
+        marks: shown.marks,
         // The report names the full-size file, though it shows a smaller image.
         mosaic: drawn.small.as_ref().map(|(picture, placement)| ReportMosaic {
             picture,

@@ -8,6 +8,7 @@ use crate::mapping::Mapping;
 use crate::observer::Observer;
 use crate::output::RunOutput;
 use crate::plan::RunPlan;
+use crate::report::ReportMark;
 use crate::statistics::LiveStatistics;
 use crate::timings::Timings;
 use crate::views::{MosaicFrames, Posed};
@@ -39,6 +40,8 @@ pub struct Tracked {
     pub interrupted: bool,
     /// Number of frames that the source states.
     pub announced: Option<u64>,
+    /// Marks set during a live run.
+    pub marks: Vec<ReportMark>,
     /// Drops and latencies of a live run.
     pub live: Option<LiveStatistics>,
     /// The error that ended the recording early, if any.
@@ -134,6 +137,7 @@ pub fn track(
     Ok(Ended::Tracked(Box::new(Tracked {
         readout: FoundReadout::of(&plan.camera, &tracking.odometry),
         interlaced: tracking.odometry.is_interlaced(),
+        marks: Vec::new(),
         keyframes: tracking.odometry.keyframes(),
         fixed: FixedInImage::of(&tracking.odometry),
         frames: tracking.frames,

@@ -4,7 +4,7 @@ use crate::reference::ComparedReference;
 use odograph::camera::{Camera, Rig};
 use odograph::error::Result;
 use odograph::filter::fusion::SensorReport;
-use odograph::geometry::Placement;
+use odograph::geometry::{GroundPoint, Placement};
 use odograph::mosaic::MosaicPicture;
 use odograph::trajectory::FrameSummary;
 
@@ -41,6 +41,12 @@ pub struct ReportInput<'a> {
     pub rig: &'a Rig,
     /// The map, drawn by [`MapDrawing::svg`](odograph::drawing::MapDrawing::svg).
     pub map_svg: &'a str,
+    /// Positions of the camera at the keyframes of the run, metres.
+    pub keyframes: &'a [GroundPoint],
+    /// Loop closures: the two positions of the camera from which the same ground was seen.
+    pub loops: &'a [[GroundPoint; 2]],
+    /// Marks set during a live run.
+    pub marks: &'a [ReportMark],
     /// The orthophoto mosaic of the ground, if there is one.
     pub mosaic: Option<ReportMosaic<'a>>,
     /// All parameters used, in the format of `run.toml`.
@@ -62,4 +68,13 @@ pub struct ReportMosaic<'a> {
     pub placement: Placement,
     /// File name of the full-resolution mosaic.
     pub file_name: &'a str,
+}
+
+/// A mark that the user set during a live run.
+#[derive(Debug, Clone, PartialEq)]
+pub struct ReportMark {
+    /// Name given by the user, or the mark's number; any text.
+    pub name: String,
+    /// Time since the first frame, seconds.
+    pub time_s: f64,
 }

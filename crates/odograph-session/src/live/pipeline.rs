@@ -102,6 +102,7 @@ pub fn follow(
     let tracked = Tracked {
         readout: FoundReadout::of(&plan.camera, &following.odometry),
         interlaced: following.odometry.is_interlaced(),
+        marks: following.recorder.report_marks(),
         keyframes: following.odometry.keyframes(),
         fixed: FixedInImage::of(&following.odometry),
         frames: following.frames,

@@ -2,6 +2,7 @@
 
 use crate::folder::OutputFolder;
 use crate::plan::RunPlan;
+use crate::report::ReportMark;
 use odograph::error::Result;
 use odograph::trajectory::FrameEstimate;
 use odograph_live::Mark;
@@ -76,6 +77,12 @@ impl Recorder {
     /// Number of marks.
     pub fn marks(&self) -> usize {
         self.marks.len()
+    }
+
+    /// The marks for the report.
+    pub fn report_marks(&self) -> Vec<ReportMark> {
+        let of = |mark: &Mark| ReportMark { name: mark.name.clone(), time_s: f64::from(mark.time_s) };
+        self.marks.iter().map(of).collect()
     }
 
     /// Warning about the disk.

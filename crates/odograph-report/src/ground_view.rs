@@ -1,0 +1,229 @@
+//! The path over the ground: a still picture with layers, which a script pans, zooms and links with
+//! the plots.
+
+use super::figures::sigmas;
+use super::plot::TimeAxis;
+use crate::photograph::photograph;
+use odograph::drawing::scale::length_text;
+use odograph::drawing::svg::escape;
+use odograph::geometry::GroundPoint;
+use odograph::trajectory::FrameSummary;
+use odograph_session::{ReportInput, ReportMosaic};
+use std::fmt::Write;
+
+/// Pans and zooms the picture, and links it with the plots.
+const SCRIPT: &str = include_str!("ground_view.js");
+
+/// Maximum number of frames that can be pointed at; longer runs are thinned.
+const MOST_ROWS: usize = 4000;
+
+/// A layer of the picture: the class of its elements, its name, whether it is shown at first, and
+/// its elements.
+struct Layer {
+    class: &'static str,
+    name: &'static str,
+    shown: bool,
+    elements: String,
+}
+
+/// Writes the section; nothing if there is no mosaic.
+pub fn path_over_ground(input: &ReportInput<'_>, page: &mut String) {
+    let Some(mosaic) = &input.mosaic else { return };
+    let layers: Vec<Layer> =
+        layers(mosaic, input).into_iter().filter(|layer| !layer.elements.is_empty()).collect();
+    let placement = mosaic.picture.placement;
+    let _ = writeln!(
+        page,
+        "<h2>The path over the ground</h2>\n<figure class=\"ground\"><figcaption><span>The frames, orthorectified at their \
+         poses, and the path: <span class=\"key green\">start</span><span class=\"key red\">end</span>A pixel of {} is {} \
+         wide; its world file has its position.</span></figcaption>",
+        escape(mosaic.file_name),
+        length_text(mosaic.placement.metres_per_pixel),
+    );
+    page.push_str("<div class=\"layers\" role=\"group\" aria-label=\"Layers\">\n");
+    for (class, name, shown) in
+        [("photograph", "ground", true)].into_iter().chain(layers.iter().map(|l| (l.class, l.name, l.shown)))
+    {
+        let checked = if shown { " checked=\"\"" } else { "" };
+        let _ = writeln!(
+            page,
+            "<label><input type=\"checkbox\" class=\"shows-{class}\"{checked}/><span class=\"swatch {class}\"></span>{name}</label>"
+        );
+    }
+    let _ = write!(
+        page,
+        "</div>\n<div class=\"view\" role=\"group\" aria-label=\"The path over the ground. Arrow keys move, plus and minus zoom, \
+         0 shows all, comma and full stop step through the frames.\" data-x=\"{}\" data-y=\"{}\" data-metres=\"{}\">\
+         <div class=\"over\">{}",
+        placement.x_m,
+        placement.y_m,
+        placement.metres_per_pixel,
+        photograph(mosaic.picture, "Mosaic of the ground with the path"),
+    );
+    let (width, height) = (mosaic.picture.width, mosaic.picture.height);
+    // Pixel centres are at integers: the picture begins half a pixel before the first.
+    let _ = write!(
+        page,
+        "<svg viewBox=\"-0.5 -0.5 {width} {height}\" style=\"--unit:{:.3}\" aria-hidden=\"true\">",
+        width.max(height) as f64 / 1000.0
+    );
+    for layer in &layers {
+        let _ = write!(page, "<g class=\"{}\">{}</g>", layer.class, layer.elements);
+    }
+    page.push_str(
+        "</svg></div></div>\n<p class=\"readout\" data-hint=\"Point at the path or at a plot to see a frame.\"></p></figure>\n",
+    );
+}
+
+/// Writes the frames as data, and the script that shows them. It is the end of the page: everything
+/// before is readable without it.
+pub fn script(frames: &[FrameSummary], page: &mut String) {
+    let Some(first) = frames.first() else { return };
+    let times_s: Vec<f64> = frames.iter().map(|frame| frame.time_s - first.time_s).collect();
+    let posed =
+        frames.iter().zip(&times_s).filter_map(|(frame, &time_s)| Some((frame, time_s, frame.place?)));
+    let every = posed.clone().count().div_ceil(MOST_ROWS).max(1);
+    let rows: Vec<String> = posed
+        .step_by(every)
+        .map(|(frame, time_s, at)| {
+            let (position_m, heading_rad) = sigmas(&at);
+            let residual_px = if frame.inliers > 0 { frame.residual_px } else { f64::NAN };
+            let columns = [
+                (time_s, 3),
+                (at.x_m, 4),
+                (at.y_m, 4),
+                (at.heading_rad.to_degrees(), 2),
+                (position_m, 6),
+                (heading_rad.to_degrees(), 4),
+                (residual_px, 3),
+            ];
+            let columns = columns.map(|(value, decimals)| json_number(value, decimals));
+            format!("[{}]", columns.join(","))
+        })
+        .collect();
+    let _ = writeln!(
+        page,
+        "<script type=\"application/json\" id=\"frames\">{{\"axis\":{},\"rows\":[\n{}\n]}}</script>\n<script>\n{SCRIPT}</script>",
+        TimeAxis::new(&times_s, &[]).json(),
+        rows.join(",\n")
+    );
+}
+
+/// A number as JSON has it; `null` if it is not finite.
+fn json_number(value: f64, decimals: usize) -> String {
+    if value.is_finite() { format!("{value:.decimals$}") } else { "null".into() }
+}
+
+/// The layers, lowest first.
+fn layers(mosaic: &ReportMosaic<'_>, input: &ReportInput<'_>) -> Vec<Layer> {
+    let pixel = |point: GroundPoint| mosaic.picture.placement.pixel_from_ground(point);
+    let dots = |points: &mut dyn Iterator<Item = GroundPoint>| -> String {
+        // A line of zero length with round ends is a dot of the same size at any zoom.
+        let mut dots: Vec<String> = points.map(pixel).map(|(x, y)| format!("M{x:.1} {y:.1}h0")).collect();
+        dots.dedup();
+        dots.concat()
+    };
+    let drawn = |class: &str, d: String| match d.as_str() {
+        "" => String::new(),
+        d => format!("<path class=\"{class}\" d=\"{d}\"/>"),
+    };
+    let lines = |pairs: &[[GroundPoint; 2]]| -> String {
+        let line = |pair: &[GroundPoint; 2]| {
+            let [from, to] = pair.map(pixel);
+            format!("M{:.1} {:.1}L{:.1} {:.1}", from.0, from.1, to.0, to.1)
+        };
+        pairs.iter().map(line).collect()
+    };
+    let loops = drawn("line", lines(input.loops))
+        + &drawn("dot", dots(&mut input.loops.iter().map(|[newer, _]| *newer)));
+    vec![
+        Layer {
+            class: "losses",
+            name: "losses",
+            shown: true,
+            elements: drawn("line", lines(&losses(input.frames))),
+        },
+        Layer { class: "way", name: "path", shown: true, elements: path(mosaic, input.frames) },
+        Layer {
+            class: "keyframes",
+            name: "keyframes",
+            shown: false,
+            elements: drawn("dot", dots(&mut input.keyframes.iter().copied())),
+        },
+        Layer { class: "loops", name: "loops", shown: true, elements: loops },
+        Layer { class: "marks", name: "marks", shown: true, elements: marks(mosaic, input) },
+    ]
+}
+
+/// The two known positions on either side of each interval without a pose.
+fn losses(frames: &[FrameSummary]) -> Vec<[GroundPoint; 2]> {
+    let mut before = None;
+    let mut lost = false;
+    let mut losses = Vec::new();
+    for frame in frames {
+        let Some(place) = &frame.place else {
+            lost = true;
+            continue;
+        };
+        let here = GroundPoint::new(place.x_m, place.y_m);
+        losses.extend(before.filter(|_| lost).map(|before| [before, here]));
+        (before, lost) = (Some(here), false);
+    }
+    losses
+}
+
+/// A line for each segment, without points that no pixel separates, and its ends.
+fn path(mosaic: &ReportMosaic<'_>, frames: &[FrameSummary]) -> String {
+    let mut lines: Vec<(u32, Vec<(f64, f64)>)> = vec![];
+    for frame in frames {
+        let Some(place) = &frame.place else { continue };
+        let at = mosaic.picture.placement.pixel_from_ground(GroundPoint::new(place.x_m, place.y_m));
+        match lines.last_mut() {
+            Some((segment, line)) if *segment == frame.segment => {
+                let last = line[line.len() - 1];
+                if (at.0 - last.0).hypot(at.1 - last.1) > 1.0 {
+                    line.push(at);
+                }
+            }
+            _ => lines.push((frame.segment, vec![at])),
+        }
+    }
+    let mut svg = String::new();
+    for class in ["casing", "path"] {
+        for (_, line) in &lines {
+            let points: Vec<String> = line.iter().map(|(x, y)| format!("{x:.1},{y:.1}")).collect();
+            let _ = write!(svg, "<polyline class=\"{class}\" points=\"{}\"/>", points.join(" "));
+        }
+    }
+    let ends =
+        lines.first().and_then(|(_, line)| line.first()).zip(lines.last().and_then(|(_, line)| line.last()));
+    // The start is a ring around the end, which may lie on it.
+    for (class, (x, y), radius) in
+        ends.into_iter().flat_map(|(start, end)| [("start", start, 12.0), ("end", end, 7.5)])
+    {
+        let _ = write!(
+            svg,
+            "<circle class=\"{class}\" cx=\"{x:.1}\" cy=\"{y:.1}\" style=\"r:calc({radius}px * var(--unit))\"/>"
+        );
+    }
+    svg
+}
+
+/// The marks at the positions of the frames nearest in time.
+fn marks(mosaic: &ReportMosaic<'_>, input: &ReportInput<'_>) -> String {
+    let Some(first) = input.frames.first() else { return String::new() };
+    let mut svg = String::new();
+    for mark in input.marks {
+        let off_s = |frame: &&FrameSummary| (frame.time_s - first.time_s - mark.time_s).abs();
+        let posed = input.frames.iter().filter(|frame| frame.place.is_some());
+        let nearest = posed.min_by(|a, b| off_s(a).total_cmp(&off_s(b)));
+        let Some(place) = nearest.and_then(|frame| frame.place) else { continue };
+        let (x, y) = mosaic.picture.placement.pixel_from_ground(GroundPoint::new(place.x_m, place.y_m));
+        let _ = write!(
+            svg,
+            "<path class=\"dot\" d=\"M{x:.1} {y:.1}h0\"/><text x=\"{x:.1}\" y=\"{y:.1}\">{}</text>",
+            escape(&mark.name)
+        );
+    }
+    svg
+}
