@@ -60,7 +60,7 @@ pub fn small_map() -> Vec<u8> {
         let mut map = MapFile::create(&path, &camera, &Rig::level(0.5))?;
         let session = map.begin_session("drive.mp4")?;
         let samples = (0..64 * 48).map(|at: u32| (at.wrapping_mul(2_654_435_761) >> 24) as u8).collect();
-        let image = KeyframeImage { gray: GrayImage::from_samples(64, 48, samples)?, color: None };
+        let image = KeyframeImage { gray: GrayImage::from_samples(64, 48, samples).unwrap_or_else(|| GrayImage::new(64, 48)), color: None };
         let pose = |number: u64| GroundPose { x_m: 0.1 * number as f64, ..GroundPose::level(0.5) };
         let covariance = Matrix6::from_diagonal_element(1e-6);
         for number in 0..4 {

@@ -1,5 +1,6 @@
 //! The program `odograph`: one video camera in, a metric trajectory and map out.
 
+mod address;
 mod commands;
 mod console;
 mod files;

@@ -1,7 +1,6 @@
 //! `odograph site`: one map for a fleet, and the link of a robot to it.
 
-use super::live::address;
-use crate::{Outcome, console, files, interrupt};
+use crate::{Outcome, address, console, files, interrupt};
 use odograph::error::{Error, Result};
 use odograph_live::server::new_token;
 use odograph_map::{MapFile, Session};

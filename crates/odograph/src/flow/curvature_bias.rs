@@ -14,9 +14,9 @@ use nalgebra::{Matrix2, Vector2};
 /// Mean squared distance of the samples from the centre of a patch along one axis, pixels².
 const MEAN_SQUARE_PX2: f64 = ((SIDE * SIDE - 1) as f64) / 12.0;
 
-/// Displacement of a match with this noise by the curvature of the warp, pixels, for a template with
-/// these moments; `curvature` holds the second derivatives by (x, x), (x, y) and (y, y), pixels per
-/// pixel². Noise adds to the moments of the gradients and is subtracted.
+/// Displacement of a match with this noise by the curvature of the warp, pixels, for a template
+/// with these moments; `curvature` holds the second derivatives by (x, x), (x, y) and (y, y),
+/// pixels per pixel². Noise adds to the moments of the gradients and is subtracted.
 pub(super) fn curvature_bias(
     [xx, xy, yx, yy]: &Moments,
     noise: &Noise,

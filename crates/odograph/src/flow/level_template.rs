@@ -1,7 +1,6 @@
 //! A template on one pyramid level: contrast, orthogonal gradients and their Hessian.
 
-use super::noise::gradient_noise;
-use super::patch::{AREA, SIDE, TO_CENTRE};
+use super::patch::{AREA, SIDE, TO_CENTRE, gradient_noise};
 use crate::geometry::Pixel;
 use crate::image::Pyramid;
 use crate::image::simd::{
@@ -16,10 +15,10 @@ pub(super) struct LevelTemplate {
     /// Centre of the patch in pixels of its level: integer plus one half, so that the samples are
     /// pixels.
     pub centre: Vector2<f64>,
-    /// Contrast: samples minus the plane that fits them best. Gradients along x and y, orthogonal to
-    /// planes and to the contrast, so that their product with an image that differs only by a gain
-    /// and by light that changes linearly over the patch is zero. In a patch that would lose too
-    /// much, they are orthogonal to constants only.
+    /// Contrast: samples minus the plane that fits them best. Gradients along x and y, orthogonal
+    /// to planes and to the contrast, so that their product with an image that differs only by a
+    /// gain and by light that changes linearly over the patch is zero. In a patch that would lose
+    /// too much, they are orthogonal to constants only.
     appearance: PooledAppearance,
     /// Gauss–Newton Hessian: products of the gradients.
     pub hessian: Matrix2<f64>,
@@ -73,8 +72,8 @@ impl LevelTemplate {
         &self.appearance.0[0]
     }
 
-    /// The patch on this level of a pyramid whose centre is nearest to a position in the full image.
-    /// `None` where it does not fit into the image, or has no texture in some direction.
+    /// The patch on this level of a pyramid whose centre is nearest to a position in the full
+    /// image. `None` where it does not fit into the image, or has no texture in some direction.
     pub fn new(pyramid: &Pyramid, level: usize, centre: Pixel) -> Option<Self> {
         let (image, scale) = (pyramid.level(level), (1usize << level) as f64);
         let (x, y) = (centre.x / scale, centre.y / scale);
@@ -133,11 +132,12 @@ impl LevelTemplate {
 /// A patch of which less than this fraction of the smaller eigenvalue of the Hessian would be left
 /// is taken to be in even light: what is smooth over the patch, by blur or by itself, cannot be
 /// told from light. Not derived; chosen on variants of a flight with strong blur, where 0.35 to 0.7
-/// lose no frame, and shown on rendered shadows, lamps, caustics and reflections. Noise does not count.
+/// lose no frame, and shown on rendered shadows, lamps, caustics and reflections. Noise does not
+/// count.
 const MIN_KEPT: f64 = 0.5;
 
-/// Variance of white noise on a level over that on the finer one: the binomial filter 1 4 6 4 1 along
-/// both axes.
+/// Variance of white noise on a level over that on the finer one: the binomial filter 1 4 6 4 1
+/// along both axes.
 const VARIANCE_PER_LEVEL: f64 = (70.0 / 256.0) * (70.0 / 256.0);
 
 /// Minimum mean squared gradient in the weakest direction (aperture problem), (gray levels per

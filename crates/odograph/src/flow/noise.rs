@@ -9,7 +9,7 @@
 //! 2016). Derivation: `docs/math/interpolation-bias.md`.
 
 use super::level_template::LevelTemplate;
-use super::patch::AREA;
+use super::patch::{AREA, gradient_noise};
 use super::subpixel_phase::{fraction, phase_coherence};
 use nalgebra::{Matrix2, Vector2};
 
@@ -32,9 +32,6 @@ const MAX_UNEXPLAINED: f64 = 0.9;
 /// Upper bound of a patch's noise variance over that of the image; a patch estimates it to about a
 /// tenth. Not derived; chosen.
 const MAX_NOISE_RATIO: f64 = 1.25;
-
-/// Variance of a central difference over that of the samples.
-const DIFFERENCE_VARIANCE: f64 = 0.5;
 
 /// Least fraction of an eigenvalue of the Hessian that counts as signal. Not derived; chosen.
 const MIN_SIGNAL: f64 = 0.05;
@@ -87,11 +84,6 @@ impl Noise {
     pub(super) fn bias(&self, patch: &LevelTemplate) -> Vector2<f64> {
         -(self.inverse_hessian * patch.contrast_projection * (self.variance * AREA as f64))
     }
-}
-
-/// Expected contribution of noise with this variance to the sum of squared gradients.
-pub(super) fn gradient_noise(variance: f64) -> f64 {
-    DIFFERENCE_VARIANCE * AREA as f64 * variance
 }
 
 /// Inverse of a Hessian after isotropic noise is subtracted from its eigenvalues.

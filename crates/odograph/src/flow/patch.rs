@@ -12,6 +12,15 @@ pub const AREA: usize = SIDE * SIDE;
 /// From the first sample of a row or column to the centre of the patch.
 pub const TO_CENTRE: f64 = (SIDE as f64 - 1.0) / 2.0;
 
+/// Variance of a central difference over that of the samples.
+const DIFFERENCE_VARIANCE: f64 = 0.5;
+
+/// Expected contribution of noise with this variance, gray levels², to the sum of the squared
+/// gradients of a patch along any direction.
+pub fn gradient_noise(variance: f64) -> f64 {
+    DIFFERENCE_VARIANCE * AREA as f64 * variance
+}
+
 /// Samples `image` bilinearly on a grid of [`SIDE`]² points around `centre`; the steps along its
 /// rows and columns are the columns of `linear`. Returns `false` and leaves `samples` unchanged
 /// unless the whole grid lies inside the image.

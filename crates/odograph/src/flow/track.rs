@@ -17,7 +17,8 @@ pub struct Track {
     /// Position of its centre, pixels of the full image, corrected for interpolation bias and
     /// noise-induced bias.
     pub position: Pixel,
-    /// Root of the fraction of its contrast that gain and light leave unexplained, √(1 − ρ²), 0 to 1.
+    /// Root of the fraction of its contrast that gain and light leave unexplained, √(1 − ρ²), 0 to
+    /// 1.
     pub dissimilarity: f64,
     /// Covariance of the position by image noise, pixels²: large along a straight edge.
     pub covariance_px2: Matrix2<f64>,

@@ -1,7 +1,6 @@
 //! `odograph live`: a camera, a stream, or a recording at its own pace, followed as it comes, with
 //! a page in the browser.
 
-pub mod address;
 mod capture_arguments;
 mod outputs;
 mod serving;

@@ -1,7 +1,6 @@
 //! The page of a run: started with it, and kept after it while there are viewers.
 
-use super::address;
-use crate::{console, interrupt};
+use crate::{address, console, interrupt};
 use odograph::error::{Error, Result};
 use odograph_live::server::new_token;
 use odograph_live::{Hub, Phase, Server, ServerOptions};

@@ -316,7 +316,8 @@ pub struct PatchSums {
 }
 
 /// What makes a template and its gradients orthogonal to planes, and its gradients to its contrast:
-/// the planes of samples and gradients, and then the projections of the gradients onto the contrast.
+/// the planes of samples and gradients, and then the projections of the gradients onto the
+/// contrast.
 #[derive(Debug, Clone, Copy)]
 pub struct Orthogonal {
     /// Of the samples and of the gradients along x and y.
