@@ -39,9 +39,9 @@ Examples:
 
 /// Runs the command.
 pub fn mosaic(arguments: &MosaicArguments) -> Result<Outcome> {
-    if let Some(resolution) = arguments.resolution.filter(|r| !(r.is_finite() && *r > 0.0)) {
+    if let Some(resolution) = arguments.resolution.filter(|r| !(*r > 0.0 && *r <= COARSEST_M)) {
         return Err(Error::usage(format!(
-            "--resolution is {resolution}; it must be a positive number of metres"
+            "--resolution is {resolution:?}; it must be a positive number of metres, at most {COARSEST_M}"
         )));
     }
     let form = arguments.output.as_deref().map(export::PictureForm::of).transpose()?;
@@ -73,6 +73,9 @@ fn coarser(asked_m: f64, rendered_m: f64) -> String {
         1e3 * rendered_m
     )
 }
+
+/// Coarsest resolution, metres per pixel: more than a keyframe shows.
+const COARSEST_M: f64 = 1000.0;
 
 /// Renders the mosaic of a map and stores it there, with a progress bar. Fails if it is
 /// interrupted, or if no keyframe shows the ground.
