@@ -133,9 +133,9 @@ async function look() {
     const answer = await fetch("state");
     if (!answer.ok) throw new Error(answer.statusText);
     state = await answer.json();
-    if (state.mosaic !== mosaicShown) await loadMosaic(state.mosaic);
     list();
     problem(state.failure && "The site does not merge any more: " + state.failure);
+    if (state.mosaic !== mosaicShown) await loadMosaic(state.mosaic);
   } catch (error) {
     problem("The site does not answer: " + error.message);
   }

@@ -8,7 +8,7 @@ use odograph_map::{MapFile, PathFrame, SessionOrigin};
 use serde::Serialize;
 use std::collections::BTreeMap;
 use std::fmt::Write;
-use std::path::PathBuf;
+use std::path::{Path, PathBuf};
 
 /// Show what a map holds.
 #[derive(Debug, clap::Args)]
@@ -139,7 +139,7 @@ fn gathered(file: &MapFile) -> Result<MapInfo> {
     let edges = |kind| map.edges.iter().filter(|edge| edge.kind == kind).count();
     Ok(MapInfo {
         file: file.path().display().to_string(),
-        bytes: std::fs::metadata(file.path()).map_or(0, |metadata| metadata.len()),
+        bytes: size(file.path()) + size(&written_ahead(file.path())),
         image_bytes: file.image_bytes()?.1,
         camera: map.camera.clone(),
         rig: map.rig,
@@ -270,4 +270,16 @@ fn described(info: &MapInfo, checked: bool) -> String {
         text.push_str("checked    no damage found\n");
     }
     text
+}
+
+/// Size of a file, bytes; 0 where there is none.
+fn size(path: &Path) -> u64 {
+    path.metadata().map_or(0, |metadata| metadata.len())
+}
+
+/// The log beside a map that another program is writing.
+fn written_ahead(map: &Path) -> PathBuf {
+    let mut log = map.as_os_str().to_owned();
+    log.push("-wal");
+    log.into()
 }
