@@ -150,6 +150,17 @@ mod tests {
     }
 
     #[test]
+    fn examples_in_the_help_are_not_wrapped() {
+        fn check(command: &clap::Command) {
+            let after = command.get_after_help().map(ToString::to_string).unwrap_or_default();
+            let wrapped = after.lines().find(|line| line.chars().count() > 100);
+            assert!(wrapped.is_none_or(|line| !line.starts_with("  ")), "{wrapped:?}");
+            command.get_subcommands().for_each(check);
+        }
+        check(&Arguments::command());
+    }
+
+    #[test]
     fn every_option_begins_with_one_short_line() {
         fn check(command: &clap::Command, name: &str) {
             for argument in command.get_arguments().filter(|argument| !argument.is_hide_set()) {

@@ -11,8 +11,6 @@ use std::collections::BTreeMap;
 
 /// Largest number of pixels of a map's camera: a decoded image has as many bytes.
 const MOST_PIXELS: usize = 256 << 20;
-/// Largest accepted height, metres.
-const GREATEST_HEIGHT_M: f64 = 1e6;
 
 const TABLE: &str = "CREATE TABLE odograph_session_camera (session INTEGER PRIMARY KEY NOT NULL, width INTEGER NOT NULL, \
                      height INTEGER NOT NULL, fx_px DOUBLE NOT NULL, fy_px DOUBLE NOT NULL, cx_px DOUBLE NOT NULL, \
@@ -143,14 +141,7 @@ fn read_rig(row: &Row<'_>, first: usize, lever_arm: Option<LeverArm>) -> rusqlit
 }
 
 fn checked(rig: Rig, complaint: &Complaint) -> Result<Rig> {
-    let rig = rig.validated().map_err(|error| complaint.input(error))?;
-    if rig.height_m > GREATEST_HEIGHT_M {
-        return Err(complaint.input(format!(
-            "the camera is {:e} m above the ground; no camera over ground is that high",
-            rig.height_m
-        )));
-    }
-    Ok(rig)
+    rig.validated().map_err(|error| complaint.input(error))
 }
 
 /// A camera as it is in the file, before its values are checked.

@@ -73,6 +73,9 @@
     const toPixel = row => [(row[X] - origin.x) / origin.metres, (origin.y - row[Y]) / origin.metres];
     let zoom = 1, middle = [0.5, 0.5], fit = 1, box = { width: 1, height: 1 };
 
+    const ruler = document.createElement("div");
+    ruler.className = "ruler";
+
     const here = document.createElementNS(svg.namespaceURI, "path");
     here.setAttribute("class", "here");
     svg.append(here);
@@ -91,8 +94,18 @@
       over.style.left = `${0.5 * box.width - middle[0] * width * scale}px`;
       over.style.top = `${0.5 * box.height - middle[1] * height * scale}px`;
       svg.style.setProperty("--unit", 1 / scale);
+      measure(origin.metres / scale);
       view.style.touchAction = zoom > 1 ? "none" : "pan-y";
       if (chosen >= 0) choose(chosen);
+    }
+
+    /// The scale bar: the longest round length that fits, at this many metres a pixel of the screen.
+    function measure(metres) {
+      const most = metres * Math.min(140, 0.4 * box.width), decade = 10 ** Math.floor(Math.log10(most));
+      const bar = [5, 2, 1].map(times => times * decade).find(round => round <= most);
+      const [unit, size] = [["km", 1000], ["m", 1], ["cm", 0.01], ["mm", 0.001]].find(([, size]) => bar > 0.999 * size) ?? ["mm", 0.001];
+      ruler.textContent = `${+(bar / size).toPrecision(2)} ${unit}`;
+      ruler.style.width = `${bar / metres}px`;
     }
 
     function resize() {
@@ -183,7 +196,7 @@
       button.addEventListener("click", act);
       tools.append(button);
     }
-    view.append(tools);
+    view.append(tools, ruler);
     view.tabIndex = 0;
     view.classList.add("movable");
     addEventListener("resize", resize);

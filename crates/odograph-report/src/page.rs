@@ -97,7 +97,7 @@ fn cards(figures: &RunFigures, page: &mut String) {
         n => format!("{n} times"),
     };
     let lost = match figures.lost.len() {
-        0 => "Every tracked frame has a pose.".into(),
+        0 => "Every frame has a pose.".into(),
         _ => format!("{} altogether without a pose.", duration_text(figures.lost_s())),
     };
     card("Lost", &times, &lost, page);
@@ -120,7 +120,12 @@ fn cards(figures: &RunFigures, page: &mut String) {
             page,
         );
         let share = match figures.distance_m {
-            d if d > 0.0 => format!(", {:.1} % of the distance", 100.0 * away_m / d),
+            d if d > 0.0 => {
+                let percent = 100.0 * away_m / d;
+                // Two digits of what is small.
+                let decimals = if percent < 1.0 { 3 } else { 1 };
+                format!(", {percent:.decimals$} % of the distance")
+            }
             _ => String::new(),
         };
         card(

@@ -482,13 +482,6 @@ fn statistics_of(
         duration_s,
         distance_m: distance_m(frames),
         fps: rate(elapsed.as_secs_f64()),
-        fps_without_decoding: rate(
-            (tracked.times.track.sum()
-                + tracked.times.self_calibration.sum()
-                + tracked.times.map.sum()
-                + tracked.mapping.times().sum())
-            .as_secs_f64(),
-        ),
         stages: BTreeMap::from([
             ("decode", StageTime::of(&tracked.times.decode)),
             ("track", StageTime::of(&tracked.times.track)),

@@ -67,20 +67,31 @@ impl FoundMount {
     /// A warning for people after a live run.
     pub fn live_sentence(&self) -> String {
         format!(
-            "the camera sits at a roll of {:+.2}° and a pitch of {:+.2}°, not at {:+.2}° and {:+.2}° as \
-             given; this was estimated while driving and used from then on, and the path before it is \
-             bent: give them with --rig",
-            self.roll_deg, self.pitch_deg, self.given_roll_deg, self.given_pitch_deg
+            "the camera is mounted at a roll of {:+.2}° and a pitch of {:+.2}°, not {}; this was estimated \
+             while driving and used from then on, and the path before it is bent: give both with --rig",
+            self.roll_deg,
+            self.pitch_deg,
+            self.given()
         )
     }
 
     /// A warning for people.
     pub fn sentence(&self) -> String {
         format!(
-            "the camera is mounted at a roll of {:+.2}° and a pitch of {:+.2}°, not at {:+.2}° and {:+.2}° as given; this was \
-             found in the recording and used",
-            self.roll_deg, self.pitch_deg, self.given_roll_deg, self.given_pitch_deg
+            "the camera is mounted at a roll of {:+.2}° and a pitch of {:+.2}°, not {}; this was found in the \
+             recording and used",
+            self.roll_deg,
+            self.pitch_deg,
+            self.given()
         )
+    }
+
+    /// The nominal mount. Who gives a height alone has not given a tilt.
+    fn given(&self) -> String {
+        match (self.given_roll_deg, self.given_pitch_deg) {
+            (0.0, 0.0) => "looking straight down".to_owned(),
+            (roll, pitch) => format!("at {roll:+.2}° and {pitch:+.2}° as given"),
+        }
     }
 }
 

@@ -124,11 +124,6 @@ impl Mapping {
         &self.file.path
     }
 
-    /// Processing time of each keyframe.
-    pub fn times(&self) -> &Timings {
-        &self.times
-    }
-
     /// Applies the fused path: frames before and after, and their references, which move with them.
     pub fn take_over(
         &mut self,

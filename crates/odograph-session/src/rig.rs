@@ -17,7 +17,7 @@ const MILLIMETRES_FROM: f64 = 300.0;
 /// The unit in which a height was probably meant that was given as a bare number, short and in
 /// full; `None` where metres are plausible.
 pub fn doubtful_unit(height_m: f64) -> Option<(&'static str, &'static str)> {
-    if !(height_m.is_finite() && height_m > DOUBTFUL_HEIGHT_M) {
+    if height_m <= DOUBTFUL_HEIGHT_M || !Rig::HEIGHTS_M.contains(&height_m) {
         return None;
     }
     Some(if height_m >= MILLIMETRES_FROM { ("mm", "millimetres") } else { ("cm", "centimetres") })

@@ -4,6 +4,7 @@ use crate::budget::Budget;
 use crate::earth_statistics::GnssStatistics;
 use crate::found::{FixedInImage, FoundLens, FoundMount, FoundReadout};
 use crate::timings::Timings;
+use odograph::drawing::scale::length_text;
 use odograph::error::{Error, Result};
 use odograph::filter::fusion::{SensorKind, SensorParameter, SensorReport};
 use serde::Serialize;
@@ -23,8 +24,6 @@ pub struct RunStatistics {
     pub distance_m: f64,
     /// Frames per second of the whole run, including writing.
     pub fps: f64,
-    /// Frames per second without decoding.
-    pub fps_without_decoding: f64,
     /// Time per frame by stage.
     pub stages: BTreeMap<&'static str, StageTime>,
     /// Number of keyframes.
@@ -107,16 +106,30 @@ pub struct LiveStatistics {
     pub latency_most_ms: f64,
 }
 
-impl LoopStatistics {
-    /// One line; empty without loops.
-    pub fn summary(&self) -> String {
-        match self.closed + self.revisited {
+impl LiveStatistics {
+    /// One line; empty if no frame was dropped.
+    fn summary(&self) -> String {
+        match self.frames_dropped {
             0 => String::new(),
-            loops => format!(
-                "ground recognised {loops} times; the path moved by up to {:.1} mm\n",
-                1e3 * self.correction_most_m
+            dropped => format!(
+                "{dropped} of {} frames dropped, because they came faster than they could be tracked\n",
+                self.frames_captured
             ),
         }
+    }
+}
+
+impl LoopStatistics {
+    /// One line; empty without loops. The pictures show the places that were recognised, and not
+    /// those that odometry came back to.
+    pub fn summary(&self) -> String {
+        let (what, count) = match (self.closed, self.revisited) {
+            (0, 0) => return String::new(),
+            (0, revisited) => ("the camera came back to an earlier keyframe", revisited),
+            (closed, _) => ("ground recognised", closed),
+        };
+        let times = if count == 1 { "once".to_owned() } else { format!("{count} times") };
+        format!("{what} {times}; the path moved by up to {}\n", length_text(self.correction_most_m))
     }
 }
 
@@ -228,16 +241,17 @@ impl RunStatistics {
             true => String::new(),
             false => format!("beside the camera: {}\n", used.join(", ")),
         };
+        let dropped = self.live.as_ref().map_or_else(String::new, LiveStatistics::summary);
         let on_earth = self.gnss.as_ref().map_or_else(String::new, GnssStatistics::summary);
         format!(
-            "{:.2} m in {:.1} s; {} of {} frames with a pose, {lost}; {} keyframes\n{:.0} frames/s ({:.0} without decoding)\n{loops}{sensors}{on_earth}{fixed}",
+            "{:.2} m in {:.1} s; {} of {} frames with a pose, {lost}; {} keyframes\n\
+             {:.0} frames/s, decoding and writing included\n{dropped}{loops}{sensors}{on_earth}{fixed}",
             self.distance_m,
             self.duration_s,
             self.frames_with_pose,
             self.frames,
             self.keyframes,
             self.fps,
-            self.fps_without_decoding,
         )
     }
 }

@@ -28,11 +28,6 @@ impl Timings {
         self.most = self.most.max(duration);
     }
 
-    /// Sum.
-    pub fn sum(&self) -> Duration {
-        self.sum
-    }
-
     /// Mean, milliseconds; zero if empty.
     pub fn mean_ms(&self) -> f64 {
         ms(self.sum) / self.count.max(1) as f64

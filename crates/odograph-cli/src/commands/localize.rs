@@ -1,6 +1,8 @@
 //! `odograph localize`: finds a camera in an existing map.
 
-use super::run::{CameraSetup, ConsoleObserver, LogArguments, Motion, PoseFrameName, ProfileChoice};
+use super::run::{
+    CameraSetup, ConsoleObserver, LogArguments, Motion, PoseFrameName, ProfileChoice, tell_warnings,
+};
 use crate::{Outcome, console};
 use odograph::error::{Error, Result};
 use odograph_map::MapFile;
@@ -160,7 +162,7 @@ fn print_result(arguments: &LocalizeArguments, report: &RunOutcome) -> Result<()
         alike.iter().try_for_each(|place| console::print(&alike_line(place)))?;
     }
     if !arguments.quiet {
-        report.warnings.iter().for_each(|warning| console::warn(warning));
+        tell_warnings(report, "");
     }
     if report.place.is_none() {
         console::error(&verdict.sentence(&arguments.source, &arguments.map, alike.len()));

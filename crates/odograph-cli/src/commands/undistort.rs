@@ -74,7 +74,7 @@ pub struct UndistortArguments {
 const EXAMPLES: &str = "\
 Examples:
   odograph undistort clip.mp4 --camera camera.yaml -o clean/
-  odograph run clean/frames --timestamps clean/frames.txt --camera clean/camera.yaml --height 1.20 -o drive/";
+  odograph run clean/frames --timestamps clean/frames.txt --camera clean/camera.yaml --height 1.20";
 
 /// How much is kept, by the names on the command line.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, clap::ValueEnum)]

@@ -234,7 +234,7 @@ fn lengths_have_units_and_implausible_heights_cause_warnings() {
     assert!(questioned.status.success());
     assert!(String::from_utf8_lossy(&questioned.stderr).contains("are millimetres meant?"));
     fs::write(place.path("rig.toml"), "height_m = 1e300").unwrap();
-    place.refused(with_rig, 3, "no camera over ground is that high");
+    place.refused(with_rig, 3, "the height is 1.0e300 m");
 }
 
 #[test]

@@ -291,6 +291,10 @@ impl Seen<'_> {
                 Some(LossReason::Blur) => "a shorter exposure, more light, slower turns",
                 Some(LossReason::Jump) => "a higher frame rate, or go slower",
                 Some(LossReason::Shadow) => "mask the parts of the carrier (--mask), move the lamp",
+                _ if self.tracking.found.is_some() => {
+                    "what was found below may be the reason, which a recorded run corrects; else keep objects \
+                     above the ground out of view"
+                }
                 _ => "keep objects above the ground out of view; check the camera file",
             },
         )
@@ -409,7 +413,7 @@ impl Seen<'_> {
         let (roll_deg, pitch_deg) = (self.rig.roll_rad.to_degrees(), self.rig.pitch_rad.to_degrees());
         let Some(tilt) = self.tracking.found.as_ref().and_then(|found| found.tilt.as_ref()) else {
             let moved = !self.tracking.steps.is_empty();
-            let measured = format!("as given, roll {roll_deg:+.2}° and pitch {pitch_deg:+.2}°");
+            let measured = format!("no other was found than {}", given(roll_deg, pitch_deg));
             return moved.then(|| found("tilt", (0.0, "deg"), Judgement::Good, measured, ""));
         };
         let (roll, pitch) = (tilt.roll_rad.to_degrees(), tilt.pitch_rad.to_degrees());
@@ -419,9 +423,7 @@ impl Seen<'_> {
             (by_deg, "deg"),
             // docs/ground.md: 0.2° bend a path of 9 m by 7 mm in a live run.
             Judgement::of(by_deg, 0.1, 20.0),
-            format!(
-                "roll {roll:+.2}° and pitch {pitch:+.2}°, not {roll_deg:+.2}° and {pitch_deg:+.2}° as given"
-            ),
+            format!("roll {roll:+.2}° and pitch {pitch:+.2}°, not {}", given(roll_deg, pitch_deg)),
             "a recorded run corrects it; for live runs measure it (odograph ground) and give --rig",
         ))
     }
@@ -440,6 +442,14 @@ impl Seen<'_> {
             format!("bends otherwise than the camera file says, by {off_px:.1} px at the edge of the image"),
             "calibrate again, at the zoom, focus and size of the recording: odograph calibrate",
         ))
+    }
+}
+
+/// A given tilt, degrees. Who gives a height alone has not given one.
+fn given(roll_deg: f64, pitch_deg: f64) -> String {
+    match (roll_deg, pitch_deg) {
+        (0.0, 0.0) => "straight down".to_owned(),
+        _ => format!("the given {roll_deg:+.2}° and {pitch_deg:+.2}°"),
     }
 }
 

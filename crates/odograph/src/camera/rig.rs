@@ -5,6 +5,7 @@ use crate::error::{Error, Result};
 use crate::geometry::GroundPose;
 use nalgebra::Isometry3;
 use serde::{Deserialize, Serialize};
+use std::ops::RangeInclusive;
 
 /// Mounting (extrinsics) of the camera on its carrier over flat ground.
 ///
@@ -37,14 +38,20 @@ impl Rig {
         Self { height_m, roll_rad: 0.0, pitch_rad: 0.0, yaw_rad: 0.0, lever_arm: None }
     }
 
-    /// Checks the mounting. Fails if a number is not finite, the height is not positive, the
-    /// camera does not look at the ground, or the lever arm is longer than
+    /// Heights above the ground that are accepted, metres: from a microscope to an aeroplane.
+    pub const HEIGHTS_M: RangeInclusive<f64> = 1e-6..=1e4;
+
+    /// Checks the mounting. Fails if a number is not finite, the height is not within
+    /// [`Self::HEIGHTS_M`], the camera does not look at the ground, or the lever arm is longer than
     /// [`LeverArm::GREATEST_M`].
     pub fn validated(self) -> Result<Self> {
         let Self { height_m, roll_rad, pitch_rad, yaw_rad, lever_arm } = self;
-        if !(height_m.is_finite() && height_m > 0.0) {
+        if !Self::HEIGHTS_M.contains(&height_m) {
+            let size_m = height_m.abs();
+            let readable = size_m == 0.0 || !size_m.is_finite() || (1e-3..1e7).contains(&size_m);
+            let height = if readable { height_m.to_string() } else { format!("{height_m:.1e}") };
             return Err(Error::usage(format!(
-                "the height is {height_m} m; it must be a positive number of metres above the ground"
+                "the height is {height} m; a camera above the ground is between 1 µm and 10 km high"
             )));
         }
         for (name, value) in [("roll", roll_rad), ("pitch", pitch_rad), ("yaw", yaw_rad)] {

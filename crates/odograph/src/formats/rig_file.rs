@@ -48,24 +48,15 @@ const KEYS: [&str; 19] = [
     "z",
 ];
 
-/// Largest accepted height, metres.
-const GREATEST_HEIGHT_M: f64 = 1e6;
-
 /// Reads a rig from TOML.
 ///
-/// Fails, naming the key, if the height is missing or larger than 1e6 m, a key is unknown, a value
-/// is not a finite number or a length with its unit, a number is given twice, or the rig is invalid
-/// ([`Rig::validated`]).
+/// Fails, naming the key, if the height is missing, a key is unknown, a value is not a finite number
+/// or a length with its unit, a number is given twice, or the rig is invalid ([`Rig::validated`]).
 pub fn parse(text: &str) -> Result<Rig> {
     let table = table(text)?;
     let height_m = length(&table, "height")?.ok_or_else(|| {
         Error::input("the rig file has no `height_m`; add the camera's height above the ground in metres")
     })?;
-    if height_m > GREATEST_HEIGHT_M {
-        return Err(Error::input(format!(
-            "height_m is {height_m:e} in the rig file; no camera over ground is that high"
-        )));
-    }
     let rig = Rig {
         height_m,
         roll_rad: angle(&table, "roll")?,

@@ -52,8 +52,9 @@ Boards:
   circles:7x5:20mm               discs, distance of two in a row
   asymmetric-circles:4x11:20mm   discs, half the distance of two in a row
 
-Print at 100 %, without fitting to the page, and measure the ruler. Glue the print to something flat. If the ruler measures 98 mm, every
-length of the board is 0.98 of what was asked for: give those lengths when calibrating.
+Print at 100 %, without fitting to the page, and measure the ruler. Glue the print to something
+flat. If the ruler measures 98 mm, every length of the board is 0.98 of what was asked for: give
+those lengths when calibrating.
 
 Examples:
   odograph board --board charuco:8x11:20mm -o board.pdf

@@ -39,8 +39,11 @@ pub fn measure(arguments: &GroundArguments, board: Board) -> Result<RigMeasureme
             .first()
             .map_or("there is no picture".to_owned(), |(name, why)| format!("{why} in {name}"));
         return Err(Error::input(format!(
-            "no {board} lies on the floor in any of the {} pictures: {why}",
-            found.frames
+            "no {board} was seen on the floor in {}: {why}",
+            match found.frames {
+                1 => "the picture".to_owned(),
+                frames => format!("any of {frames} pictures"),
+            }
         )));
     };
     let size = found.views[0].size;

@@ -73,7 +73,7 @@ Examples:
   odograph live drive.mp4 --realtime --camera camera.yaml --height 1.20 --serve 8080
   odograph live /dev/video0 --camera camera.yaml --rig rig.toml --print poses | robot
   odograph live drive.mp4 --camera camera.yaml --height 1.20 --mcap drive.mcap -o drive/
-  odograph live /dev/video0 --camera camera.yaml --height 1.20 --site http://hall:8137/ --robot cart-2";
+  odograph live /dev/video0 --camera camera.yaml --height 1.20 --site http://hall:8137/ --robot cart";
 
 /// Formats of the line printed for each frame.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, clap::ValueEnum)]

@@ -1,6 +1,7 @@
 //! Several recordings in one call: each has a folder of its own and the same result as alone; as
 //! many run concurrently as there are cores.
 
+use super::summary::tell_warnings;
 use super::{ConsoleObserver, Progress, RunArguments};
 use crate::{Outcome, console, interrupt};
 use odograph::error::{Error, ErrorKind, Result};
@@ -210,10 +211,8 @@ fn print_summary(
     for (recording, end) in recordings.iter().zip(ends) {
         let shown = match end {
             End::Followed(report) => {
-                let RunOutcome { statistics, warnings, .. } = report.as_ref();
-                warnings
-                    .iter()
-                    .for_each(|warning| console::warn(&format!("{}: {warning}", recording.source)));
+                let statistics = &report.statistics;
+                tell_warnings(report, &format!("{}: ", recording.source));
                 format!(
                     "{:.2} m in {:.1} s; {} of {} frames with a pose",
                     statistics.distance_m,

@@ -16,7 +16,7 @@ use odograph_report::HtmlReporter;
 use odograph_session::{MapUse, RunBuilder, SourcePlan};
 pub use sensors::SensorArguments;
 use std::path::{Path, PathBuf};
-pub use summary::print_summary;
+pub use summary::{print_summary, tell_warnings};
 
 /// Follow a recording: trajectory, map, mosaic of the ground, report.
 #[derive(Debug, Clone, clap::Args)]

@@ -2,6 +2,7 @@
 
 use crate::lengths::{self, Height};
 use crate::profiles;
+use odograph::camera::Rig;
 use odograph::error::Result;
 use odograph::motion::MotionModel;
 use odograph_session::{FrameChoice, RunBuilder};
@@ -133,7 +134,8 @@ fn field_of_view(text: &str) -> std::result::Result<FieldOfView, String> {
         .split_once(['x', 'X', '×'])
         .and_then(|(w, h)| Some((lengths::metres(w).ok()?, lengths::metres(h).ok()?)));
     match sides {
-        Some((w, h)) if [w, h].iter().all(|v: &f64| v.is_finite() && *v > 0.0) => Ok(FieldOfView(w, h)),
+        Some((w, h)) if [w, h].iter().all(|side| Rig::HEIGHTS_M.contains(side)) => Ok(FieldOfView(w, h)),
+        Some(_) => Err("width and height are each between 1 µm and 10 km".to_owned()),
         _ => Err("give width and height, as 1.20x0.90 (metres) or 120cmx90cm".to_owned()),
     }
 }

@@ -17,22 +17,7 @@ pub fn print_summary(outcome: &RunOutcome, quiet: bool, json: bool) -> Result<()
     if quiet {
         return Ok(());
     }
-    // What was found and used is nothing to be warned of.
-    let found = [
-        statistics.mount.as_ref().map(|mount| mount.sentence()),
-        statistics
-            .readout
-            .as_ref()
-            .filter(|readout| readout.is_known())
-            .and_then(|readout| readout.sentence()),
-    ];
-    for warning in &outcome.warnings {
-        if found.iter().flatten().any(|found| found == warning) {
-            console::note(warning);
-        } else {
-            console::warn(warning);
-        }
-    }
+    tell_warnings(outcome, "");
     losses(&lost_stretches(&outcome.trajectory));
     if let Some(interruption) = statistics.interruption() {
         console::warn(&format!("{interruption}; what there is up to there has been written"));
@@ -45,6 +30,25 @@ pub fn print_summary(outcome: &RunOutcome, quiet: bool, json: bool) -> Result<()
         ));
     }
     Ok(())
+}
+
+/// Tells the warnings of a run, each after `place`. What was found and used is nothing to be warned
+/// of.
+pub fn tell_warnings(outcome: &RunOutcome, place: &str) {
+    let statistics = &outcome.statistics;
+    let readout = statistics.readout.as_ref().filter(|readout| readout.is_known());
+    let found = [
+        statistics.mount.as_ref().map(|mount| mount.sentence()),
+        readout.and_then(|readout| readout.sentence()),
+    ];
+    for warning in &outcome.warnings {
+        let text = format!("{place}{warning}");
+        if found.iter().flatten().any(|found| found == warning) {
+            console::note(&text);
+        } else {
+            console::warn(&text);
+        }
+    }
 }
 
 /// Number of losses that are listed one by one.
