@@ -4,6 +4,7 @@ use indicatif::{ProgressBar, ProgressStyle};
 use odograph::error::{Error, Result};
 use std::borrow::Cow;
 use std::io::{self, Write};
+use std::path::Path;
 
 /// The text with control characters escaped: names and keys come from files of any origin.
 fn harmless(text: &str) -> Cow<'_, str> {
@@ -51,6 +52,13 @@ fn to_person(kind: &str, sentence: &str) {
     let _ = writeln!(io::stderr(), "{kind}: {}", harmless(sentence));
 }
 
+/// A path quoted for a shell.
+pub fn quoted(path: &Path) -> String {
+    let text = path.display().to_string();
+    let plain = |c: char| c.is_alphanumeric() || "/._-+,:@".contains(c);
+    if text.chars().all(plain) { text } else { format!("'{}'", text.replace('\'', "'\\''")) }
+}
+
 /// A bar where the number of frames is known, a count where not; `doing` stands before it. Nothing
 /// is shown where standard error is no terminal.
 pub fn progress(doing: &str, frames: Option<u64>, quiet: bool) -> ProgressBar {
@@ -74,5 +82,17 @@ mod tests {
     fn control_characters_are_escaped() {
         assert_eq!(harmless("ä µ\t±\n"), "ä µ\t±\n");
         assert_eq!(harmless("a\u{1b}[2J\rb\u{9b}"), "a\\u{1b}[2J\\rb\\u{9b}");
+    }
+
+    #[test]
+    fn what_is_printed_can_be_pasted() {
+        for (path, expected) in [
+            ("demo/drive.mp4", "demo/drive.mp4"),
+            ("my demo/a", "'my demo/a'"),
+            ("it's", "'it'\\''s'"),
+            ("$x", "'$x'"),
+        ] {
+            assert_eq!(quoted(Path::new(path)), expected);
+        }
     }
 }

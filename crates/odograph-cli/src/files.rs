@@ -2,8 +2,7 @@
 
 pub use odograph_session::files::*;
 
-use odograph::error::{Error, Result};
-use std::fs;
+use odograph::error::Result;
 use std::path::{Path, PathBuf};
 
 /// Makes the folder that a file is to be written into, where it is missing.
@@ -12,8 +11,7 @@ pub fn make_folder_of(path: &Path) -> Result<()> {
     if folder.as_os_str().is_empty() {
         return Ok(());
     }
-    fs::create_dir_all(folder)
-        .map_err(|error| Error::output(format!("{} cannot be made: {error}", folder.display())))
+    make_folder(folder)
 }
 
 /// Where results go that no option names: beside the input, with the input's name without its

@@ -1,19 +1,40 @@
 //! Ctrl-C or SIGTERM ends a run early: it writes its results and exits. A second one exits at once.
 
+use crate::console;
 use odograph::error::{Error, Result};
+use std::io::IsTerminal;
 use std::sync::atomic::{AtomicBool, Ordering};
+use std::time::{Duration, Instant};
 
 /// Exit code after an interrupt: 128 and the number of SIGINT, as in shells.
 pub const EXIT_CODE: u8 = 130;
 
 static ASKED: AtomicBool = AtomicBool::new(false);
 
+/// A signal this soon after the first is the same request: `timeout` and shells signal the program
+/// and then its process group.
+const SAME_REQUEST: Duration = Duration::from_millis(300);
+
+/// A person is told after this time how to end a program that is still busy, or that waits for a
+/// source which gives nothing.
+const PATIENCE: Duration = Duration::from_secs(3);
+
 /// Installs the handler. Without one, an interrupt ends the program as usual.
 pub fn listen() {
-    let _ = ctrlc::set_handler(|| {
-        if ASKED.swap(true, Ordering::Relaxed) {
-            std::process::exit(i32::from(EXIT_CODE));
+    let mut first: Option<Instant> = None;
+    let _ = ctrlc::set_handler(move || match first {
+        None => {
+            first = Some(Instant::now());
+            ASKED.store(true, Ordering::Relaxed);
+            if std::io::stderr().is_terminal() {
+                std::thread::spawn(|| {
+                    std::thread::sleep(PATIENCE);
+                    console::note("still ending; Ctrl-C again ends at once, without what is not written yet");
+                });
+            }
         }
+        Some(first) if first.elapsed() > SAME_REQUEST => std::process::exit(i32::from(EXIT_CODE)),
+        Some(_) => {}
     });
 }
 

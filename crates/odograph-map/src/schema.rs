@@ -164,12 +164,12 @@ pub(crate) fn check_is_database(path: &Path) -> Result<(Vec<u8>, u64)> {
     let complaint = Complaint::about(path);
     let cannot = |error: std::io::Error| complaint.input(format!("the map cannot be read: {error}"));
     let mut head = Vec::new();
-    let file = File::open(path).map_err(cannot)?;
-    let metadata = file.metadata().map_err(cannot)?;
+    // Before it is opened: a pipe would wait for its writer.
+    let metadata = std::fs::metadata(path).map_err(cannot)?;
     if !metadata.is_file() {
         return Err(complaint.input("this is not a file; a map is one file, written by odograph run"));
     }
-    file.take(100).read_to_end(&mut head).map_err(cannot)?;
+    File::open(path).and_then(|file| file.take(100).read_to_end(&mut head)).map_err(cannot)?;
     if head.len() < 100 || !head.starts_with(b"SQLite format 3\0") {
         return Err(
             complaint.input("this is not a map file (a map is an SQLite database, written by odograph run)")

@@ -12,6 +12,7 @@ use odograph::image::{GrayImage, Pyramid};
 use odograph::odometry::OdometryConfig;
 use serde::{Deserialize, Serialize};
 use std::hint::black_box;
+use std::ops::RangeInclusive;
 use std::time::{Duration, Instant};
 
 /// A time budget and the parameters reduced for it.
@@ -50,12 +51,17 @@ const MIN_LEVELS: usize = 2;
 /// Fraction of the budget reserved for variation between frames. Not derived; chosen.
 const SPARE: f64 = 0.2;
 
+/// Budgets that are accepted, milliseconds a frame.
+const BUDGETS_MS: RangeInclusive<f64> = 0.01..=60_000.0;
+
 /// Chooses the parameters so that a frame of `size` takes at most `frame_ms`, keyframes included.
 /// Fails where no parameters do.
 pub fn fit(config: &mut OdometryConfig, size: (usize, usize), frame_ms: f64) -> Result<Budget> {
-    if !(frame_ms.is_finite() && frame_ms > 0.0) {
+    if !BUDGETS_MS.contains(&frame_ms) {
         return Err(Error::usage(format!(
-            "a budget of {frame_ms} ms a frame cannot be kept; give one above zero"
+            "a budget of {frame_ms:?} ms a frame is out of range; give between {} and {} ms",
+            BUDGETS_MS.start(),
+            BUDGETS_MS.end()
         )));
     }
     let (corners_without, levels_without) = (config.detection.corners, config.flow.levels);

@@ -69,6 +69,22 @@ pub fn read_text(path: &Path) -> Result<String> {
     read_text_within(path, MAX_TEXT)
 }
 
+/// Makes a folder with those that it is in.
+///
+/// # Errors
+/// If that is not possible; the message names what is in the way.
+pub fn make_folder(path: &Path) -> Result<()> {
+    fs::create_dir_all(path).map_err(|error| {
+        let there = path.ancestors().find(|place| place.symlink_metadata().is_ok());
+        let why = match there.filter(|place| !place.is_dir()) {
+            Some(link) if !link.exists() => format!("{} is a link that leads nowhere", link.display()),
+            Some(file) => format!("{} is not a folder", file.display()),
+            None => error.to_string(),
+        };
+        Error::output(format!("{} cannot be made: {why}", path.display())).caused_by(error)
+    })
+}
+
 /// Reads a text file of at most `most` bytes of UTF-8.
 pub fn read_text_within(path: &Path, most: u64) -> Result<String> {
     let mut text = String::new();

@@ -97,9 +97,7 @@ impl OutputFolder {
             remove_folders(&made);
             error
         };
-        fs::create_dir_all(path).map_err(|error| {
-            undone(Error::output(format!("{} cannot be made: {error}", path.display())).caused_by(error))
-        })?;
+        files::make_folder(path).map_err(&undone)?;
         let claims = claims(&own_map, &output.map).map_err(&undone)?;
         // Another run may have ended here since.
         check_free(path, force)?;

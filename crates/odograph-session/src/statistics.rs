@@ -246,12 +246,7 @@ impl RunStatistics {
         format!(
             "{:.2} m in {:.1} s; {} of {} frames with a pose, {lost}; {} keyframes\n\
              {:.0} frames/s, decoding and writing included\n{dropped}{loops}{sensors}{on_earth}{fixed}",
-            self.distance_m,
-            self.duration_s,
-            self.frames_with_pose,
-            self.frames,
-            self.keyframes,
-            self.fps,
+            self.distance_m, self.duration_s, self.frames_with_pose, self.frames, self.keyframes, self.fps,
         )
     }
 }

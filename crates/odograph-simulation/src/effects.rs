@@ -249,7 +249,7 @@ impl Effects {
         match checks.into_iter().find(|(_, value, range)| !range.contains(value)) {
             None => Ok(Self { terrain: self.terrain.validated()?, ..self }),
             Some((name, value, range)) => Err(Error::usage(format!(
-                "the {name} is {value}; it must be between {} and {}",
+                "the {name} is {value:?}; it must be between {} and {}",
                 if range.start == tiny { 0.0 } else { range.start },
                 range.end
             ))),

@@ -5,6 +5,8 @@ use std::path::PathBuf;
 
 /// No camera is faster, frames per second.
 const MAX_FRAMES_PER_SECOND: f64 = 1e6;
+/// A frame in twelve days.
+const MIN_FRAMES_PER_SECOND: f64 = 1e-6;
 
 /// Selection of frames, and timestamps for a source without them.
 #[derive(Debug, Clone, PartialEq)]
@@ -51,9 +53,9 @@ impl SourceOptions {
         if self.every == 0 {
             return Err(Error::usage("every 0th frame was asked for; 1 gives every frame"));
         }
-        if self.fps.is_some_and(|fps| !(fps > 0.0 && fps <= MAX_FRAMES_PER_SECOND)) {
+        if self.fps.is_some_and(|fps| !(MIN_FRAMES_PER_SECOND..=MAX_FRAMES_PER_SECOND).contains(&fps)) {
             return Err(Error::usage(format!(
-                "the frames a second must be a number above zero, and at most {MAX_FRAMES_PER_SECOND}"
+                "the frames a second must be between {MIN_FRAMES_PER_SECOND} and {MAX_FRAMES_PER_SECOND}"
             )));
         }
         let (start, end) = (self.start_s.unwrap_or(0.0), self.end_s.unwrap_or(f64::MAX));

@@ -1,6 +1,8 @@
 //! Timestamps files.
 
 use odograph::error::{Error, Result};
+use std::fs::File;
+use std::io::Read;
 use std::path::Path;
 
 /// Strictly increasing times from a file, seconds.
@@ -25,12 +27,14 @@ impl Timestamps {
     /// Reads a timestamps file.
     pub fn read(path: &Path) -> Result<Self> {
         let place = path.display();
-        let readable = std::fs::metadata(path).is_ok_and(|m| m.len() <= MAX_BYTES);
-        let text = std::fs::read_to_string(path).map_err(|error| match error.kind() {
+        let mut text = String::new();
+        // A device has no length to be asked for.
+        let read = File::open(path).and_then(|file| file.take(MAX_BYTES + 1).read_to_string(&mut text));
+        read.map_err(|error| match error.kind() {
             std::io::ErrorKind::InvalidData => Error::input("the timestamps are not text").at(place),
             _ => Error::input(format!("the timestamps cannot be read: {error}")).at(place),
         })?;
-        if !readable {
+        if text.len() as u64 > MAX_BYTES {
             return Err(Error::input("a file of timestamps should be smaller than 1 GB").at(path.display()));
         }
         Self::parse(&text).map_err(|error| error.at(path.display()))
@@ -78,12 +82,12 @@ impl Timestamps {
             first = false;
             if let Some(before) = before.filter(|&before| time_s <= before) {
                 return Err(Error::input(format!(
-                    "line {number}: the time {time_s} s does not come after the {before} s before it"
+                    "line {number}: the time {time_s:?} s does not come after the {before:?} s before it"
                 )));
             }
             if time_s.abs() > LATEST_S {
                 return Err(Error::input(format!(
-                    "line {number}: {time_s} s cannot be the time of a frame; write seconds, or whole nanoseconds since 1970"
+                    "line {number}: {time_s:?} s cannot be the time of a frame; write seconds, or whole nanoseconds since 1970"
                 )));
             }
             before = Some(time_s);

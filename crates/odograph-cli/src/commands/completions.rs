@@ -75,8 +75,7 @@ fn write_pages(mut command: clap::Command, folder: &Path) -> Result<Outcome> {
     command.build();
     let mut pages = Vec::new();
     collect(&command, "odograph".to_owned(), &mut pages)?;
-    std::fs::create_dir_all(folder)
-        .map_err(|error| Error::output(format!("{} cannot be made: {error}", folder.display())))?;
+    files::make_folder(folder)?;
     for (name, page) in &pages {
         files::write(&folder.join(format!("{name}.1")), page)?;
     }

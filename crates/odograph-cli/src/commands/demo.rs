@@ -2,6 +2,7 @@
 
 use super::evaluate::over_ground_m;
 use super::run::{ConsoleObserver, print_summary};
+use crate::console::quoted;
 use crate::{Outcome, console, files};
 use odograph::error::{Error, Result};
 use odograph::evaluation::{self, Alignment, EvaluationOptions};
@@ -81,20 +82,12 @@ fn free(folder: &Path) -> PathBuf {
     (1..).map(again).find(|folder| !folder.exists()).unwrap_or_else(|| again(1))
 }
 
-/// A path quoted for a shell.
-fn quoted(path: &Path) -> String {
-    let text = path.display().to_string();
-    let plain = |c: char| c.is_alphanumeric() || "/._-+,:@".contains(c);
-    if text.chars().all(plain) { text } else { format!("'{}'", text.replace('\'', "'\\''")) }
-}
-
 /// Runs the command.
 pub fn demo(arguments: DemoArguments) -> Result<Outcome> {
     let folder = &arguments.output;
     check_free(folder, arguments.force)?;
     let unpacked = folder.join("input");
-    std::fs::create_dir_all(&unpacked)
-        .map_err(|error| Error::output(format!("{} cannot be made: {error}", unpacked.display())))?;
+    files::make_folder(&unpacked)?;
     for (name, bytes) in INPUTS {
         files::write(&unpacked.join(name), bytes)?;
     }
@@ -142,21 +135,4 @@ fn compare(folder: &Path, truth: &Path) -> Result<()> {
         quoted(&folder.join("trajectory.tum")),
         quoted(truth)
     ))
-}
-
-#[cfg(test)]
-mod tests {
-    use super::*;
-
-    #[test]
-    fn what_is_printed_can_be_pasted() {
-        for (path, expected) in [
-            ("demo/drive.mp4", "demo/drive.mp4"),
-            ("my demo/a", "'my demo/a'"),
-            ("it's", "'it'\\''s'"),
-            ("$x", "'$x'"),
-        ] {
-            assert_eq!(quoted(Path::new(path)), expected);
-        }
-    }
 }

@@ -1,6 +1,7 @@
 //! `odograph info`: what is in a recording, and what it can be used for.
 
 use super::run::{CameraSetup, ProfileChoice};
+use crate::console::quoted;
 use crate::{Outcome, console, files};
 use odograph::camera::Camera;
 use odograph::error::{Error, Result};
@@ -212,9 +213,10 @@ fn notes(
             let missing = match (stream.topic.is_some(), profile, camera) {
                 (true, ..) => String::new(),
                 (false, Some(profile), _) => format!("--profile {profile}"),
-                (false, None, Some(camera)) => format!("--camera {} --height LENGTH", camera.display()),
+                (false, None, Some(camera)) => format!("--camera {} --height LENGTH", quoted(camera)),
                 (false, None, None) => "--camera FILE --height LENGTH".to_owned(),
             };
+            let file = quoted(Path::new(file));
             notes.push(format!("odograph run {file} {option}{missing}").trim_end().to_owned());
             match (recorded(stream), stream.topic.is_some()) {
                 (Some(RecordedCamera { topic, rectified, .. }), _) => {

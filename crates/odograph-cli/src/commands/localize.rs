@@ -8,7 +8,8 @@ use odograph::error::{Error, Result};
 use odograph_map::MapFile;
 use odograph_report::HtmlReporter;
 use odograph_session::{
-    AlikePlace, MapUse, PlaceInMap, ResemblanceVerdict, RunBuilder, RunOutcome, RunStatistics, SourcePlan,
+    AlikePlace, MapUse, PlaceInMap, ResemblanceVerdict, RunBuilder, RunEnd, RunOutcome, RunStatistics,
+    SourcePlan,
 };
 use serde::Serialize;
 use std::path::PathBuf;
@@ -164,7 +165,9 @@ fn print_result(arguments: &LocalizeArguments, report: &RunOutcome) -> Result<()
     if !arguments.quiet {
         tell_warnings(report, "");
     }
-    if report.place.is_none() {
+    if report.place.is_none() && report.end == RunEnd::Interrupted {
+        console::error(&format!("interrupted before {} was found in the map", arguments.source));
+    } else if report.place.is_none() {
         console::error(&verdict.sentence(&arguments.source, &arguments.map, alike.len()));
     }
     Ok(())

@@ -258,7 +258,7 @@ fn positive(name: &str, value: f64, unit: &str) -> Result<()> {
     if value.is_finite() && value > 0.0 && value < 1e7 {
         return Ok(());
     }
-    Err(Error::usage(format!("the path's {name} is {value}; it must be a positive number of {unit}")))
+    Err(Error::usage(format!("the path's {name} is {value:?}; it must be a positive number of {unit}")))
 }
 
 struct Builder {

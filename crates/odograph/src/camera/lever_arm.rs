@@ -28,7 +28,7 @@ impl LeverArm {
             }
             if value_m.abs() > Self::GREATEST_M {
                 return Err(Error::usage(format!(
-                    "the lever arm's {axis} is {value_m} m; no camera is {} m from its base_link, are other units meant?",
+                    "the lever arm's {axis} is {value_m:?} m; no camera is {} m from its base_link, are other units meant?",
                     Self::GREATEST_M
                 )));
             }

@@ -77,13 +77,17 @@ impl From<Camera> for CameraParameters {
     }
 }
 
+/// Largest magnitude of a distortion coefficient. Those of a rational model may be in the hundreds.
+const MOST_DISTORTION: f64 = 1e6;
+
 impl Camera {
     /// A camera from its intrinsics: image `size` (width, height), focal lengths `(fx, fy)` and
     /// principal point `(cx, cy)`, all in pixels.
     ///
-    /// Fails if a number is not finite, a focal length is not positive, a side of the image is zero
-    /// or longer than 65536 pixels, or the principal point is outside the image by more than the
-    /// image's width or height.
+    /// Fails if a number is not finite, a focal length is not positive or not within a factor of
+    /// 1000 of the image's longer side, a coefficient is beyond a million, a side of the image is
+    /// zero or longer than 65536 pixels, or the principal point is outside the image by more than
+    /// the image's width or height.
     pub fn new(
         size: (usize, usize),
         focal_px: (f64, f64),
@@ -105,10 +109,16 @@ impl Camera {
             if value <= 0.0 {
                 return Err(Error::input(format!("{name} is {value}; a focal length must be positive")));
             }
+            let longer = width.max(height) as f64;
+            if !(1e-3 * longer..=1e3 * longer).contains(&value) {
+                return Err(Error::input(format!(
+                    "{name} is {value:?}; a focal length is in pixels, near the {longer} of the image"
+                )));
+            }
         }
-        if let Some(bad) = distortion.coefficients().into_iter().find(|c| !c.is_finite()) {
+        if let Some(bad) = distortion.coefficients().into_iter().find(|c| !(c.abs() <= MOST_DISTORTION)) {
             return Err(Error::input(format!(
-                "a distortion coefficient is {bad}; it must be a finite number"
+                "a distortion coefficient is {bad:?}; it must be a number of at most a million"
             )));
         }
         let (w, h) = (width as f64, height as f64);

@@ -47,11 +47,9 @@ impl Rig {
     pub fn validated(self) -> Result<Self> {
         let Self { height_m, roll_rad, pitch_rad, yaw_rad, lever_arm } = self;
         if !Self::HEIGHTS_M.contains(&height_m) {
-            let size_m = height_m.abs();
-            let readable = size_m == 0.0 || !size_m.is_finite() || (1e-3..1e7).contains(&size_m);
-            let height = if readable { height_m.to_string() } else { format!("{height_m:.1e}") };
             return Err(Error::usage(format!(
-                "the height is {height} m; a camera above the ground is between 1 µm and 10 km high"
+                "the height is {} m; a camera above the ground is between 1 µm and 10 km high",
+                readable(height_m)
             )));
         }
         for (name, value) in [("roll", roll_rad), ("pitch", pitch_rad), ("yaw", yaw_rad)] {
@@ -61,9 +59,9 @@ impl Rig {
         }
         if roll_rad.cos() * pitch_rad.cos() < 0.1 || roll_rad.abs() > 1.6 || pitch_rad.abs() > 1.6 {
             return Err(Error::usage(format!(
-                "a rig with roll {:.1}° and pitch {:.1}° does not look at the ground; angles count from straight down",
-                roll_rad.to_degrees(),
-                pitch_rad.to_degrees()
+                "a rig with roll {}° and pitch {}° does not look at the ground; angles count from straight down",
+                readable((10.0 * roll_rad.to_degrees()).round() / 10.0),
+                readable((10.0 * pitch_rad.to_degrees()).round() / 10.0)
             )));
         }
         lever_arm.map(LeverArm::validated).transpose()?;
@@ -96,4 +94,11 @@ impl Rig {
             pitch_rad: self.pitch_rad,
         }
     }
+}
+
+/// A number without hundreds of zeros.
+fn readable(value: f64) -> String {
+    let size = value.abs();
+    let usual = size == 0.0 || !size.is_finite() || (1e-3..1e7).contains(&size);
+    if usual { value.to_string() } else { format!("{value:.1e}") }
 }

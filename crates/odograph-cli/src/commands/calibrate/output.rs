@@ -60,8 +60,7 @@ impl CalibrationOutput {
         let missing = |folder: &&Path| !folder.as_os_str().is_empty() && !folder.exists();
         let made = folder.ancestors().take_while(missing).map(Path::to_owned).collect();
         // Fail before minutes of work, not after.
-        fs::create_dir_all(folder)
-            .map_err(|error| Error::output(format!("{} cannot be made: {error}", folder.display())))?;
+        files::make_folder(folder)?;
         Ok(Self { camera_file: camera_file.to_owned(), report, made })
     }
 
@@ -105,8 +104,7 @@ impl CalibrationOutput {
             camera_file: &name,
         };
         let files = report.files()?;
-        fs::create_dir_all(&self.report)
-            .map_err(|error| Error::output(format!("{} cannot be made: {error}", self.report.display())))?;
+        files::make_folder(&self.report)?;
         for (name, bytes) in &files {
             files::write(&self.report.join(name), bytes)?;
         }

@@ -40,8 +40,8 @@ pub struct CaptureArguments {
 
 fn speed(text: &str) -> std::result::Result<f64, String> {
     match text.parse::<f64>() {
-        Ok(speed) if speed.is_finite() && speed > 0.0 => Ok(speed),
-        _ => Err("give a number above zero, 1 for the recording's own pace".to_owned()),
+        Ok(speed) if (1e-3..=1e3).contains(&speed) => Ok(speed),
+        _ => Err("give a number from 0.001 to 1000; 1 is the recording's own pace".to_owned()),
     }
 }
 

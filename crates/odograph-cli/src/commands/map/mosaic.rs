@@ -39,9 +39,9 @@ Examples:
 
 /// Runs the command.
 pub fn mosaic(arguments: &MosaicArguments) -> Result<Outcome> {
-    if let Some(resolution) = arguments.resolution.filter(|r| !(*r > 0.0 && *r <= COARSEST_M)) {
+    if let Some(resolution) = arguments.resolution.filter(|r| !(FINEST_M..=COARSEST_M).contains(r)) {
         return Err(Error::usage(format!(
-            "--resolution is {resolution:?}; it must be a positive number of metres, at most {COARSEST_M}"
+            "--resolution is {resolution:?} m; a pixel of a mosaic is between 1 µm and {COARSEST_M} m wide"
         )));
     }
     let form = arguments.output.as_deref().map(export::PictureForm::of).transpose()?;
@@ -67,12 +67,15 @@ pub fn mosaic(arguments: &MosaicArguments) -> Result<Outcome> {
 /// The warning that the mosaic has larger pixels than requested, and why.
 fn coarser(asked_m: f64, rendered_m: f64) -> String {
     format!(
-        "--resolution {asked_m} is finer than this map allows: the mosaic has pixels of {:.2} mm, because \
+        "--resolution {asked_m:?} is finer than this map allows: the mosaic has pixels of {:.2} mm, because \
          its images show nothing finer than a quarter of their pixels, and no mosaic is more than 2^30 \
          pixels wide",
         1e3 * rendered_m
     )
 }
+
+/// Finest resolution, metres per pixel.
+const FINEST_M: f64 = 1e-6;
 
 /// Coarsest resolution, metres per pixel: more than a keyframe shows.
 const COARSEST_M: f64 = 1000.0;

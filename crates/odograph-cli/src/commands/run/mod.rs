@@ -13,7 +13,7 @@ pub use console_observer::{ConsoleObserver, LogArguments};
 pub use mounted_camera::{CameraSetup, FieldOfView, Motion, MountedCamera, PoseFrameName, ProfileChoice};
 use odograph::error::{Error, Result};
 use odograph_report::HtmlReporter;
-use odograph_session::{MapUse, RunBuilder, SourcePlan};
+use odograph_session::{MapUse, RunBuilder, RunEnd, SourcePlan};
 pub use sensors::SensorArguments;
 use std::path::{Path, PathBuf};
 pub use summary::{print_summary, tell_warnings};
@@ -250,6 +250,12 @@ pub fn run(arguments: RunArguments) -> Result<Outcome> {
     let outcome = run.follow(&observer)?;
     observer.log_times(&outcome.statistics);
     print_summary(&outcome, quiet, arguments.output.json)?;
+    if outcome.end == RunEnd::TrackingFailed && arguments.mounted.setup.field_of_view.is_some() && !quiet {
+        console::note(
+            "--field-of-view takes the lens as free of distortion, which may be the reason; odograph calibrate \
+             measures the lens",
+        );
+    }
     let map = arguments.output.map.clone().unwrap_or_else(|| folder.join("map.gpkg"));
     if let Some(link) = arguments.site.start(&map, &folder, quiet)? {
         link.finish(quiet);

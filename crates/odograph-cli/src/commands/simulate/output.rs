@@ -65,8 +65,7 @@ impl SimulationOutput {
                 there.display()
             )));
         }
-        fs::create_dir_all(&folder)
-            .map_err(|error| Error::output(format!("{} cannot be made: {error}", folder.display())))?;
+        files::make_folder(&folder)?;
         let threads = arguments
             .threads
             .or_else(|| std::thread::available_parallelism().ok())

@@ -3,7 +3,8 @@
 use odograph::error::{Error, Result};
 use odograph::image::{GrayImage, RgbImage};
 use odograph_simulation::Texture;
-use std::io::Cursor;
+use std::fs::File;
+use std::io::{Cursor, Read};
 use zune_jpeg::JpegDecoder;
 use zune_jpeg::zune_core::colorspace::ColorSpace;
 use zune_jpeg::zune_core::options::DecoderOptions;
@@ -11,9 +12,14 @@ use zune_jpeg::zune_core::options::DecoderOptions;
 /// Photographs of more pixels than this are refused: they would need gigabytes.
 const MOST_PIXELS: u64 = 100_000_000;
 
+/// Largest size of a photograph's file, bytes.
+const MOST_BYTES: u64 = 512 << 20;
+
 /// Reads a photograph. The error names the file and, if it does not exist, the named textures.
 pub fn read(name: &str) -> Result<RgbImage> {
-    let bytes = std::fs::read(name).map_err(|error| {
+    let mut bytes = Vec::new();
+    let read = File::open(name).and_then(|file| file.take(MOST_BYTES + 1).read_to_end(&mut bytes));
+    read.map_err(|error| {
         if name.contains(['.', '/', '\\']) {
             return Error::input(format!("{name} cannot be read: {error}"));
         }
@@ -23,6 +29,9 @@ pub fn read(name: &str) -> Result<RgbImage> {
             names.join(", ")
         ))
     })?;
+    if bytes.len() as u64 > MOST_BYTES {
+        return Err(Error::input(format!("{name} is larger than {} MiB", MOST_BYTES >> 20)));
+    }
     let image = if bytes.starts_with(b"\x89PNG") {
         png(&bytes)
     } else if bytes.starts_with(b"\xff\xd8") {

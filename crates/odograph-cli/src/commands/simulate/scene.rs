@@ -1,7 +1,7 @@
 //! From options to a scene.
 
 use super::{PathName, SimulateArguments, TilingName, photographs};
-use crate::lengths;
+use crate::{files, lengths};
 use odograph::camera::{Camera, Rig};
 use odograph::error::{Error, Result};
 use odograph::formats::camera_file;
@@ -13,7 +13,6 @@ use odograph_simulation::{
 };
 use serde::Serialize;
 use std::collections::BTreeMap;
-use std::fs;
 use std::sync::Arc;
 
 /// Everything as used, for `simulation.toml`.
@@ -107,8 +106,7 @@ fn camera(arguments: &SimulateArguments) -> Result<Camera> {
     let Some(file) = &arguments.camera else {
         return ordinary_camera(arguments.size.unwrap_or((640, 480)));
     };
-    let text = fs::read_to_string(file)
-        .map_err(|error| Error::input(format!("{} cannot be read: {error}", file.display())))?;
+    let text = files::read_text(file)?;
     let camera = camera_file::parse(&text, arguments.size).map_err(|error| error.at(file.display()))?;
     let size = (camera.width(), camera.height());
     match arguments.size {

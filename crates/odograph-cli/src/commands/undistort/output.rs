@@ -84,8 +84,7 @@ impl UndistortedOutput {
             )));
         }
         let made = !folder.exists();
-        fs::create_dir_all(folder)
-            .map_err(|error| Error::output(format!("{} cannot be made: {error}", folder.display())))?;
+        files::make_folder(folder)?;
         let begin = || -> io::Result<FrameWriter> {
             Ok(match format {
                 OutputFormat::Png => {

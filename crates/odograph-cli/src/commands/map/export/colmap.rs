@@ -15,7 +15,6 @@ use odograph::keyframe::KeyframeId;
 use odograph_map::MapFile;
 use std::collections::BTreeMap;
 use std::fmt::Write;
-use std::fs;
 use std::path::Path;
 
 /// Largest Hamming distance, of 256 bits, between descriptors of the same point.
@@ -51,8 +50,7 @@ pub fn write(file: &mut MapFile, folder: &Path, force: bool) -> Result<String> {
         super::check_free(&folder.join(name), force)?;
     }
     let images = folder.join("images");
-    fs::create_dir_all(&images)
-        .map_err(|error| Error::output(format!("{} cannot be made: {error}", images.display())))?;
+    files::make_folder(&images)?;
     let mut features: Vec<Vec<Feature>> =
         map.keyframes.iter().map(|keyframe| seen(&map.camera, keyframe)).collect();
     let tracks = tracks(&map, &mut features);
