@@ -34,7 +34,10 @@ pub fn svg(title: &str, evaluation: &Evaluation, truth: &Trajectory) -> String {
         evaluation.absolute.translation.rmse, evaluation.absolute.translation.max, evaluation.truth_length_m
     );
     draw_paths(&mut out, &view, evaluation, "truth");
-    let start_s = evaluation.pairs.first().map_or(0.0, |pair| pair.time_s);
+    let since = match evaluation.pairs.first().map_or(0.0, |pair| pair.time_s) {
+        0.0 => String::new(),
+        start_s => format!(", 0 is {start_s:.3} s"),
+    };
     let degrees: Vec<f64> = evaluation.absolute.rotation_rad.iter().map(|angle| angle.to_degrees()).collect();
     let position_m = &evaluation.absolute.translation_m;
     draw_errors(
@@ -55,7 +58,7 @@ pub fn svg(title: &str, evaluation: &Evaluation, truth: &Trajectory) -> String {
     );
     let _ = writeln!(
         out,
-        "<text x=\"{}\" y=\"{}\" text-anchor=\"middle\">time since {start_s:.3} s (s)</text>",
+        "<text x=\"{}\" y=\"{}\" text-anchor=\"middle\">time (s){since}</text>",
         0.5 * (LEFT + RIGHT),
         height - 14.0
     );

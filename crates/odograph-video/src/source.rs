@@ -109,9 +109,6 @@ pub(crate) fn open_kind(path: &Path, options: &SourceOptions) -> Result<Opened> 
     if path == Path::new("-") {
         return y4m::open(BufReader::with_capacity(1 << 18, std::io::stdin()), None, options.color);
     }
-    if path.as_os_str().is_empty() {
-        return Err(Error::usage("the name of the source is empty"));
-    }
     let metadata = std::fs::metadata(path).map_err(|error| match error.kind() {
         std::io::ErrorKind::NotFound => Error::input("there is no such file or folder"),
         _ => Error::input(format!("cannot be opened: {error}")),

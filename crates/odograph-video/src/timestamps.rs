@@ -20,6 +20,8 @@ const NANOSECONDS_FROM: f64 = 1e17;
 /// No time is later, nor earlier than this before 1970: thirty thousand years, seconds. Beyond it
 /// frames at a usual rate cannot be distinguished.
 const LATEST_S: f64 = 1e12;
+/// Results have times to the nanosecond.
+const LEAST_STEP_S: f64 = 1e-9;
 /// Largest size of a timestamps file, bytes.
 const MAX_BYTES: u64 = 1 << 30;
 
@@ -83,6 +85,11 @@ impl Timestamps {
             if let Some(before) = before.filter(|&before| time_s <= before) {
                 return Err(Error::input(format!(
                     "line {number}: the time {time_s:?} s does not come after the {before:?} s before it"
+                )));
+            }
+            if before.is_some_and(|before| time_s - before < LEAST_STEP_S) {
+                return Err(Error::input(format!(
+                    "line {number}: the time {time_s:?} s comes less than a nanosecond after the one before it"
                 )));
             }
             if time_s.abs() > LATEST_S {

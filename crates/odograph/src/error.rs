@@ -60,6 +60,8 @@ impl Error {
     /// The same error with its location prepended to the message: `camera.yaml: fx is NaN`.
     #[must_use]
     pub fn at(self, place: impl fmt::Display) -> Self {
+        let place = place.to_string();
+        let place = if place.is_empty() { "``" } else { &place };
         Self { message: format!("{place}: {}", self.message), ..self }
     }
 

@@ -236,6 +236,7 @@ fn serve(arguments: &ServeSiteArguments) -> Result<Outcome> {
         None if arguments.listen.ip().is_loopback() => None,
         None => Some(new_token()?),
     };
+    files::make_folder(&arguments.folder)?;
     let site = Arc::new(Site::open(&arguments.folder)?);
     let server = SiteServer::start(arguments.listen, Arc::clone(&site), token)?;
     if !arguments.quiet {

@@ -83,6 +83,10 @@ impl PngPicture {
         Self::new(png::ColorType::Rgba, png::BitDepth::Sixteen, number, pixel)
     }
 
+    pub fn black(number: usize) -> Self {
+        Self::new(png::ColorType::Grayscale, png::BitDepth::Eight, number, |_| vec![0])
+    }
+
     pub fn without_last_rows(mut self, rows: usize) -> Self {
         let row = self.samples.len() / self.rows;
         self.rows -= rows;

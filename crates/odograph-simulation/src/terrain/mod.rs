@@ -98,7 +98,7 @@ impl Terrain {
             Some((name, value, least, most, unit)) => {
                 let unit = if unit.is_empty() { String::new() } else { format!(" {unit}") };
                 Err(Error::usage(format!(
-                    "the {name} is {value}{unit}; it must be between {least} and {most}{unit}"
+                    "the {name} is {value:?}{unit}; it must be between {least} and {most}{unit}"
                 )))
             }
         }
