@@ -11,7 +11,7 @@ use std::fmt::Write;
 const WIDTH: f64 = 720.0;
 const LEFT: f64 = 52.0;
 const RIGHT: f64 = WIDTH - 10.0;
-const TOP: f64 = 8.0;
+const TOP: f64 = 14.0;
 const BELOW: f64 = 30.0;
 /// Tall images are drawn narrower, to fit the screen.
 const HIGHEST: f64 = 720.0;
@@ -143,7 +143,7 @@ impl ImageFrame {
                 "<text text-anchor=\"middle\" x=\"{}\" y=\"{}\">{}</text>",
                 coordinate(x),
                 coordinate(bottom + 19.0),
-                label(value, step)
+                if value == 0.0 { "0 px".to_owned() } else { label(value, step) }
             );
         }
         for value in multiples(0.0, self.size.1 as f64 - 1.0, step) {

@@ -163,10 +163,13 @@ fn means(size: (usize, usize), views: &[ShownView]) -> Vec<(Pixel, f64, f64)> {
         .collect()
 }
 
+/// Size of text on a narrow page, drawing units.
+const LARGEST_TEXT: f64 = 22.0;
+
 /// The error of each view as a bar with its name; views that were not used are labelled.
 pub fn errors(views: &[ShownView], rms_px: f64) -> PageDrawing {
     const WIDTH: f64 = 720.0;
-    const NAMES: f64 = 190.0;
+    const NAMES: f64 = 230.0;
     const RIGHT: f64 = WIDTH - 66.0;
     const ROW: f64 = 22.0;
     let mut used: Vec<f64> = views.iter().filter(|v| v.why_not.is_none()).map(|v| v.rms_px).collect();
@@ -198,7 +201,7 @@ pub fn errors(views: &[ShownView], rms_px: f64) -> PageDrawing {
             "<text text-anchor=\"end\" x=\"{}\" y=\"{2}\">{1}</text><rect class=\"bar{out}\" x=\"{NAMES}\" y=\"{3}\" \
              width=\"{4}\" height=\"{5}\"/><text x=\"{6}\" y=\"{2}\">{beyond}{7}</text>",
             NAMES - 8.0,
-            escape(&fitted(&view.name, 14.0, NAMES - 16.0)),
+            escape(&fitted(&view.name, LARGEST_TEXT, NAMES - 16.0)),
             coordinate(y + 16.0),
             coordinate(y + 3.0),
             coordinate((end - NAMES).max(1.0)),

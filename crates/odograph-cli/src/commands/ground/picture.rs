@@ -5,7 +5,7 @@ use super::RigMeasurement;
 use crate::files;
 use crate::report::drawing_png;
 use odograph::camera::Camera;
-use odograph::drawing::svg::data_uri;
+use odograph::drawing::svg::{data_uri, text_width};
 use odograph::error::Result;
 use odograph::geometry::{GroundPoint, GroundPose, Pixel};
 use std::fmt::Write;
@@ -13,12 +13,14 @@ use std::fmt::Write;
 /// Angles from the plumb line at which rings are drawn, degrees.
 const RINGS_DEG: [f64; 8] = [10.0, 20.0, 30.0, 40.0, 50.0, 60.0, 70.0, 80.0];
 
+/// Height of letters in a picture of 640 pixels, pixels.
+const TEXT: f64 = 13.0;
+
 /// The picture as the bytes of a PNG file.
 pub fn drawn(camera: &Camera, measured: &RigMeasurement) -> Result<Vec<u8>> {
     let (width, height) = (camera.width(), camera.height());
     let png = files::png_from_rgb(&measured.frame)?;
-    // Lines as wide in a large picture as in a small one.
-    let unit = width.max(height) as f64 / 640.0;
+    let unit = unit(camera);
     let rig = measured.rig.rig;
     // The world's x is the carrier's forward.
     let pose = GroundPose { heading_rad: rig.yaw_rad, ..rig.first_pose() };
@@ -26,7 +28,7 @@ pub fn drawn(camera: &Camera, measured: &RigMeasurement) -> Result<Vec<u8>> {
         "<svg xmlns=\"http://www.w3.org/2000/svg\" xmlns:xlink=\"http://www.w3.org/1999/xlink\" viewBox=\"0 0 {width} {height}\" \
          width=\"{width}\" height=\"{height}\" font-family=\"Roboto\" font-size=\"{:.1}\">\n\
          <image width=\"{width}\" height=\"{height}\" xlink:href=\"{}\"/>\n",
-        11.0 * unit,
+        TEXT * unit,
         data_uri("image/png", &png)
     );
     for degrees in RINGS_DEG {
@@ -40,7 +42,7 @@ pub fn drawn(camera: &Camera, measured: &RigMeasurement) -> Result<Vec<u8>> {
         // Labels are behind the plumb point, away from the arrows.
         let behind = ring.iter().cycle().skip(110).take(ring.len()).flatten();
         if let Some(label) = behind.into_iter().find(|pixel| camera.contains(**pixel, 16.0 * unit)) {
-            text(&mut svg, *label, &format!("{degrees:.0}°"), "#ffd54a");
+            text(&mut svg, *label, &format!("{degrees:.0}°"), "#ffd54a", camera);
         }
     }
     let (forward, left) = match measured.forward_known {
@@ -57,13 +59,13 @@ pub fn drawn(camera: &Camera, measured: &RigMeasurement) -> Result<Vec<u8>> {
         line(&mut svg, &arrow, color, 2.0 * unit);
         if let Some(tip) = arrow.last().copied().flatten() {
             disc(&mut svg, tip, 3.5 * unit, color, true);
-            text(&mut svg, Pixel::new(tip.x + 5.0 * unit, tip.y), name, color);
+            text(&mut svg, Pixel::new(tip.x + 5.0 * unit, tip.y), name, color, camera);
         }
     }
     measured.points.iter().for_each(|point| disc(&mut svg, *point, 3.0 * unit, "#3ad0ff", false));
     if let Some(plumb) = seen(camera, &pose, GroundPoint::new(0.0, 0.0)) {
         disc(&mut svg, plumb, 4.0 * unit, "#ffd54a", true);
-        text(&mut svg, Pixel::new(plumb.x + 7.0 * unit, plumb.y + 14.0 * unit), "plumb point", "#ffd54a");
+        text(&mut svg, Pixel::new(plumb.x + 7.0 * unit, plumb.y + 14.0 * unit), "plumb point", "#ffd54a", camera);
     }
     svg.push_str("</svg>\n");
     drawing_png(&svg, width as u32)
@@ -102,10 +104,21 @@ fn disc(svg: &mut String, at: Pixel, radius: f64, color: &str, filled: bool) {
     );
 }
 
-fn text(svg: &mut String, at: Pixel, text: &str, color: &str) {
+/// A label that begins at a pixel, moved into the image where it would be cut off.
+fn text(svg: &mut String, at: Pixel, text: &str, color: &str, camera: &Camera) {
+    let unit = unit(camera);
+    let (margin, long) = (4.0 * unit, text_width(text, TEXT * unit));
+    let x = at.x.min(camera.width() as f64 - long - margin).max(margin);
+    let y = at.y.clamp((TEXT + 4.0) * unit, camera.height() as f64 - margin);
     let _ = writeln!(
         svg,
-        "<text x=\"{:.1}\" y=\"{:.1}\" fill=\"{color}\" stroke=\"#000\" stroke-width=\"2\" paint-order=\"stroke\">{text}</text>",
-        at.x, at.y
+        "<text x=\"{x:.1}\" y=\"{y:.1}\" fill=\"{color}\" stroke=\"#000\" stroke-width=\"{:.1}\" stroke-linejoin=\"round\" \
+         paint-order=\"stroke\">{text}</text>",
+        3.0 * unit
     );
+}
+
+/// Lines and letters are as large in a large picture as in a small one.
+fn unit(camera: &Camera) -> f64 {
+    camera.width().max(camera.height()) as f64 / 640.0
 }
