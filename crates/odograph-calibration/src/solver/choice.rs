@@ -5,7 +5,7 @@ use super::config::LensModel;
 use super::fit::{HoldOut, LensFit};
 use super::quality::{ErrorMap, covariance, disagreement_px};
 use super::result::ModelComparison;
-use odograph::camera::Camera;
+use odograph::camera::{Camera, Distortion};
 use odograph::geometry::Pixel;
 
 /// Relative differences of the mean square error below this value are insignificant.
@@ -56,7 +56,8 @@ impl Tried {
 ///   standard error of the paired differences between views (the one-standard-error rule of L.
 ///   Breiman et al., "Classification and regression trees", 1984, section 3.4.3), times a factor.
 ///
-/// The double sphere model, which few programs support, is only selected for very wide lenses.
+/// The double sphere model, which few programs support, is only selected for very wide lenses, and
+/// a rational model only without a pole in the image.
 pub fn choose(tried: &[Tried]) -> Option<usize> {
     let mean = |at: usize| {
         let views = &tried[at].hold_out.views;
@@ -84,8 +85,28 @@ pub fn choose(tried: &[Tried]) -> Option<usize> {
     };
     let totals: Vec<f64> = (0..tried.len()).map(total).collect();
     let very_wide = is_very_wide(&tried[best].camera);
-    let eligible = |at: &usize| very_wide || tried[*at].fit.model != LensModel::DoubleSphere;
+    let eligible = |at: &usize| {
+        let rare = tried[*at].fit.model == LensModel::DoubleSphere && !very_wide;
+        !rare && !has_pole(&tried[*at].camera)
+    };
     (0..tried.len()).filter(eligible).min_by(|&a, &b| totals[a].total_cmp(&totals[b]))
+}
+
+/// Whether the denominator of a rational lens comes near zero within the image. Beside such a pole
+/// the numerator has a zero, and they cancel only at the fitted coefficients: a standard deviation
+/// off, there is no lens.
+fn has_pole(camera: &Camera) -> bool {
+    const LEAST_DENOMINATOR: f64 = 0.2;
+    const STEPS: u32 = 200;
+    let Distortion::BrownConrady { k4, k5, k6, .. } = *camera.distortion() else { return false };
+    let (right, bottom) = (camera.width() as f64 - 1.0, camera.height() as f64 - 1.0);
+    let corners = [(0.0, 0.0), (right, 0.0), (0.0, bottom), (right, bottom)];
+    let rays = corners.into_iter().filter_map(|(x, y)| camera.ray_from_pixel(Pixel::new(x, y)));
+    let widest = rays.map(|ray| ray.x.powi(2) + ray.y.powi(2)).fold(0.0, f64::max);
+    (0..=STEPS).map(|step| widest * f64::from(step) / f64::from(STEPS)).any(|r2| {
+        let denominator = 1.0 + r2 * (k4 + r2 * (k5 + r2 * k6));
+        denominator < LEAST_DENOMINATOR
+    })
 }
 
 /// Whether an image corner is more than [`VERY_WIDE_RAD`] from the optical axis, or has no ray.

@@ -2,7 +2,7 @@
 
 use super::{Camera, Distortion, Rig};
 use crate::error::{Error, Result};
-use nalgebra::{DMatrix, Matrix3};
+use nalgebra::{DMatrix, Matrix3, SMatrix, SVector};
 
 /// A measured rig.
 #[derive(Debug, Clone, Copy, PartialEq)]
@@ -63,48 +63,64 @@ impl CameraUncertainty {
     }
 
     /// Propagates the covariance to `outcome`, a function of the camera: first order, by central
-    /// differences of one standard deviation. `None` if the outcome is undefined for a varied
-    /// camera.
+    /// differences of one standard deviation along the principal axes of the correlation. `None` if
+    /// the outcome is undefined for a varied camera.
+    ///
+    /// The coefficients of a rational lens are known much better together than one by one: a
+    /// standard deviation of one alone may be no lens any more.
     pub fn propagated<const N: usize>(
         &self,
         camera: &Camera,
         outcome: impl Fn(&Camera) -> Option<[f64; N]>,
-    ) -> Option<nalgebra::SMatrix<f64, N, N>> {
-        let mut derivative = DMatrix::zeros(N, self.names.len());
-        for (column, name) in self.names.iter().enumerate() {
-            let step = self.covariance[(column, column)].sqrt();
-            if step == 0.0 {
+    ) -> Option<SMatrix<f64, N, N>> {
+        let deviations = self.covariance.diagonal().map(f64::sqrt);
+        let correlation = DMatrix::from_fn(self.names.len(), self.names.len(), |i, j| {
+            let scale = deviations[i] * deviations[j];
+            if scale > 0.0 { self.covariance[(i, j)] / scale } else { 0.0 }
+        });
+        let axes = correlation.symmetric_eigen();
+        let mut covariance = SMatrix::zeros();
+        for (axis, variance) in axes.eigenvectors.column_iter().zip(&axes.eigenvalues) {
+            if *variance <= 0.0 {
                 continue;
             }
-            let (Some(more), Some(less)) = (varied(camera, name, step), varied(camera, name, -step)) else {
-                continue;
+            let step = axis.component_mul(&deviations) * variance.sqrt();
+            let at = |sign: f64| {
+                let changes = self.names.iter().zip(step.iter()).map(|(name, by)| (name.as_str(), sign * by));
+                outcome(&changed(camera, changes)?).map(SVector::from)
             };
-            let (more, less) = (outcome(&more)?, outcome(&less)?);
-            for row in 0..N {
-                derivative[(row, column)] = (more[row] - less[row]) / (2.0 * step);
-            }
+            let half: SVector<f64, N> = 0.5 * (at(1.0)? - at(-1.0)?);
+            covariance += half * half.transpose();
         }
-        let covariance = &derivative * &self.covariance * derivative.transpose();
-        Some(nalgebra::SMatrix::from_fn(|i, j| covariance[(i, j)]))
+        Some(covariance)
     }
 }
 
 /// The camera with one parameter changed; `None` for a name that it does not have, or if the result
 /// is no valid camera.
 pub fn varied(camera: &Camera, name: &str, by: f64) -> Option<Camera> {
+    parameter(camera, name)?;
+    changed(camera, [(name, by)])
+}
+
+/// The camera with several parameters changed; names that it does not have are ignored. `None` if
+/// the result is no valid camera.
+fn changed<'a>(camera: &Camera, changes: impl IntoIterator<Item = (&'a str, f64)>) -> Option<Camera> {
     let ((mut fx, mut fy), (mut cx, mut cy)) = (camera.focal_px(), camera.principal_px());
     let mut distortion = *camera.distortion();
-    match name {
-        "fx" => fx += by,
-        "fy" => fy += by,
-        "f" => {
-            // Of square pixels only one focal length is estimated.
-            fy += by * fy / fx;
-            fx += by;
+    for (name, by) in changes {
+        match name {
+            "fx" => fx += by,
+            "fy" => fy += by,
+            "f" => {
+                // Of square pixels only one focal length is estimated.
+                fy += by * fy / fx;
+                fx += by;
+            }
+            "cx" => cx += by,
+            "cy" => cy += by,
+            _ => coefficient(&mut distortion, name).into_iter().for_each(|value| *value += by),
         }
-        "cx" => cx += by,
-        "cy" => cy += by,
-        _ => *coefficient(&mut distortion, name)? += by,
     }
     Camera::new((camera.width(), camera.height()), (fx, fy), (cx, cy), distortion).ok()
 }

@@ -65,7 +65,13 @@ pub fn drawn(camera: &Camera, measured: &RigMeasurement) -> Result<Vec<u8>> {
     measured.points.iter().for_each(|point| disc(&mut svg, *point, 3.0 * unit, "#3ad0ff", false));
     if let Some(plumb) = seen(camera, &pose, GroundPoint::new(0.0, 0.0)) {
         disc(&mut svg, plumb, 4.0 * unit, "#ffd54a", true);
-        text(&mut svg, Pixel::new(plumb.x + 7.0 * unit, plumb.y + 14.0 * unit), "plumb point", "#ffd54a", camera);
+        text(
+            &mut svg,
+            Pixel::new(plumb.x + 7.0 * unit, plumb.y + 14.0 * unit),
+            "plumb point",
+            "#ffd54a",
+            camera,
+        );
     }
     svg.push_str("</svg>\n");
     drawing_png(&svg, width as u32)
