@@ -49,7 +49,8 @@ impl ResemblanceVerdict {
         match self {
             Self::NeverSeen => {
                 format!(
-                    "not found: {source} resembles nothing in {map}; this ground was probably never mapped"
+                    "not found: {source} resembles nothing in {map}; this ground was probably never mapped, or the \
+                     camera has another height or tilt than there (--rig)"
                 )
             }
             Self::TooFewFeatures => format!(

@@ -74,7 +74,24 @@ function draw() {
   context.strokeStyle = "#fffc";
   context.lineWidth = scale;
   for (const [ax, ay, bx, by] of state.loops) line([[ax, ay], [bx, by]]);
+  ruler(scale);
   view = seen;
+}
+
+// The scale bar: the longest round length within 120 pixels.
+function ruler(scale) {
+  const most = 120 * scale * view.metres, decade = 10 ** Math.floor(Math.log10(most));
+  const metres = [5, 2, 1].map((times) => times * decade).find((round) => round <= most);
+  const [unit, size] = [["km", 1000], ["m", 1], ["cm", 0.01]].find(([, size]) => metres > 0.999 * size) || ["mm", 0.001];
+  const [left, bottom, width] = [16 * scale, canvas.height - 16 * scale, metres / view.metres];
+  context.strokeStyle = context.fillStyle = getComputedStyle(document.body).color;
+  context.lineWidth = 2 * scale;
+  context.beginPath();
+  for (const [x, y] of [[left, bottom - 6 * scale], [left, bottom], [left + width, bottom], [left + width, bottom - 6 * scale]]) context.lineTo(x, y);
+  context.stroke();
+  context.font = `${13 * scale}px system-ui, sans-serif`;
+  context.textAlign = "center";
+  context.fillText(`${+(metres / size).toPrecision(2)} ${unit}`, left + width / 2, bottom - 8 * scale);
 }
 
 function cell(text, name) {
@@ -111,7 +128,7 @@ function list() {
   document.getElementById("robots").replaceChildren(...rows);
   const count = Object.keys(state.robots).length;
   document.getElementById("summary").textContent =
-    `${count} robot${count === 1 ? "" : "s"}, ${state.loops.length} loops between them, version ${state.version} of the map`;
+    `${count} robot${count === 1 ? "" : "s"}, ${state.loops.length} loop${state.loops.length === 1 ? "" : "s"} between them, version ${state.version} of the map`;
 }
 
 function problem(text) {

@@ -50,8 +50,9 @@ const KEYS: [&str; 19] = [
 
 /// Reads a rig from TOML.
 ///
-/// Fails, naming the key, if the height is missing, a key is unknown, a value is not a finite number
-/// or a length with its unit, a number is given twice, or the rig is invalid ([`Rig::validated`]).
+/// Fails, naming the key, if the height is missing, a key is unknown, a value is not a finite
+/// number or a length with its unit, a number is given twice, or the rig is invalid
+/// ([`Rig::validated`]).
 pub fn parse(text: &str) -> Result<Rig> {
     let table = table(text)?;
     let height_m = length(&table, "height")?.ok_or_else(|| {
