@@ -123,7 +123,7 @@ fn unsuitable_input_is_refused_in_one_sentence() {
         .unwrap();
     let upright = path("floor1.pgm");
     for (arguments, code, part) in [
-        (vec![bare.as_str(), "--board", BOARD], 3, "no chessboard:12x9:35mm lies on the floor"),
+        (vec![bare.as_str(), "--board", BOARD], 3, "no chessboard:12x9:35mm was seen on the floor"),
         (vec![&upright, "--board", BOARD], 3, ""),
         (vec![&floor, "--board", "chessboard:9x6:50mm"], 3, "9x6"),
         (vec![&floor, "--board", "chessboard"], 2, "needs a kind"),

@@ -236,7 +236,7 @@ fn the_mosaic_is_redrawn_at_the_requested_resolution() {
         text(&odograph(&["mosaic", "map.gpkg", "--resolution", "1e-9"], folder.path()));
     assert_eq!((code, complaint.lines().count()), (0, 1), "{complaint}");
     assert!(
-        complaint.contains("--resolution 0.000000001 is finer") && complaint.contains("a quarter"),
+        complaint.contains("--resolution 1e-9 is finer") && complaint.contains("a quarter"),
         "{complaint}"
     );
     let rendered = message.trim_end().rsplit_once(" px of ").unwrap().1;

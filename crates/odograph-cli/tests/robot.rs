@@ -142,7 +142,7 @@ fn a_frame_that_is_not_known_is_refused() {
     fs::write(here.join("wrong.toml"), "height_m = 0.75\nx_meter = 3").unwrap();
     for (arguments, words, code) in [
         ("--height 75cm --frame base_link", "where the camera is on the robot is not known", 2),
-        ("--rig far.toml", "the lever arm's x is 300 m", 3),
+        ("--rig far.toml", "the lever arm's x is 300.0 m", 3),
         ("--rig wrong.toml", "unknown key `x_meter`", 3),
         ("--height 75cm --frame robot", "base_link", 2),
     ] {

@@ -132,7 +132,7 @@ fn errors_name_the_invalid_content() {
         ("UPDATE odograph_camera SET distortion = 'magic'", "\"magic\""),
         ("UPDATE odograph_camera SET coefficients = x'00'", "lens model"),
         ("UPDATE odograph_rig SET height_m = -2", "height is -2"),
-        ("UPDATE odograph_rig SET height_m = 1e300", "1e300 m above the ground"),
+        ("UPDATE odograph_rig SET height_m = 1e300", "the height is 1.0e300 m"),
         ("UPDATE keyframes SET x_m = 9e999 WHERE id = 1", "keyframe 1 has a pose"),
         ("UPDATE keyframes SET height_m = 0 WHERE id = 2", "keyframe 2 has a pose"),
         ("UPDATE keyframes SET time_s = 'noon' WHERE id = 2", "what no map holds"),

@@ -108,7 +108,9 @@ impl PlotAxis {
             .map(|index| (first + f64::from(index)) * step)
             .take_while(|&value| value <= self.high + step * 1e-9)
             // Adding zero makes a negative zero positive.
-            .map(|value| (value, format!("{:.decimals$}", (value / step).round() * step + 0.0)))
+            .map(|value| {
+                (value, format!("{:.decimals$}", (value / step).round() * step + 0.0).replace('-', "−"))
+            })
             .collect()
     }
 }

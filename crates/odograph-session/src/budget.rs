@@ -160,8 +160,10 @@ mod tests {
         let plenty = fit(&mut config, (320, 240), 1e4).unwrap();
         assert_eq!((plenty.corners, plenty.levels), (plenty.corners_without, plenty.levels_without));
         assert_eq!(config, OdometryConfig::default());
-        assert!(fit(&mut config, (320, 240), 1e-5).unwrap_err().to_string().contains("cannot be kept"));
-        assert!(fit(&mut config, (320, 240), f64::NAN).is_err());
+        assert!(fit(&mut config, (320, 240), 0.011).unwrap_err().to_string().contains("cannot be kept"));
+        for extreme in [f64::NAN, 1e-310, 1e308] {
+            assert!(fit(&mut config, (320, 240), extreme).unwrap_err().to_string().contains("out of range"));
+        }
     }
 
     #[test]

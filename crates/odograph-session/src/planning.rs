@@ -103,6 +103,11 @@ enum GivenCamera<'a> {
     Recording(&'a SourcePlan),
 }
 
+/// Whether a source is a file or folder that does not exist, and neither a stream nor `-`.
+fn is_missing(source: &str) -> bool {
+    source != "-" && !source.contains("://") && !Path::new(source).exists()
+}
+
 impl<'a> GivenCamera<'a> {
     fn by(builder: &'a RunBuilder) -> Result<Self> {
         let map = builder.output.map.path();
@@ -118,6 +123,10 @@ impl<'a> GivenCamera<'a> {
             (None, Some(map)) => Ok(Self::Map(Box::new(MapFile::open_read_only(map)?))),
             (None, None) if odograph_video::is_robot_recording(&builder.source.path) => {
                 Ok(Self::Recording(&builder.source))
+            }
+            // A misspelt name of a robot recording is not a missing camera.
+            (None, None) if is_missing(&builder.source.path) => {
+                Err(Error::input("there is no such file or folder").at(&builder.source.path))
             }
             (None, None) => Err(Error::usage(
                 "no camera is given; give --camera FILE (and --height LENGTH), or --field-of-view WIDTHxHEIGHT in metres \

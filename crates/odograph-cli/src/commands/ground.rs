@@ -84,7 +84,7 @@ pub struct GroundArguments {
 const EXAMPLES: &str = "\
 Examples:
   odograph ground floor.jpg --board charuco:8x11:20mm --camera camera.yaml -o rig.toml
-  odograph ground floor*.jpg --board chessboard:9x6:25mm --forward x --camera camera.yaml -o rig.toml
+  odograph ground floor*.jpg --board chessboard:9x6:25mm --forward x --camera camera.yaml
   odograph ground drive.mp4 --camera camera.yaml --height 0.75 -o rig.toml     # from driving 5 m
   odograph ground drive.mp4 --camera camera.yaml --distance 6.20 -o rig.toml   # with the height";
 

@@ -317,7 +317,7 @@ mod tests {
             ("height = '1'", "with its unit"),
             ("hight_m = 1", "unknown key `hight_m`; did you mean `height_m`?"),
             ("height_m = 1\nx_mm = 300", "unknown key `x_mm`; the keys are height_m, roll_deg"),
-            ("height_m = 1\nx_m = 300", "the lever arm's x is 300 m"),
+            ("height_m = 1\nx_m = 300", "the lever arm's x is 300.0 m"),
             ("height_m = 1\nz = '-1e9cm'", "the lever arm's z is -10000000 m"),
             ("height_m = 1\ny_m = inf", "y_m is inf"),
             ("height_m = 1\nx_m = 1\nx = '1m'", "both `x` and `x_m`"),

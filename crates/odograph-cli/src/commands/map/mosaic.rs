@@ -41,7 +41,7 @@ Examples:
 pub fn mosaic(arguments: &MosaicArguments) -> Result<Outcome> {
     if let Some(resolution) = arguments.resolution.filter(|r| !(FINEST_M..=COARSEST_M).contains(r)) {
         return Err(Error::usage(format!(
-            "--resolution is {resolution:?} m; a pixel of a mosaic is between 1 µm and {COARSEST_M} m wide"
+            "--resolution is {resolution:?} m; a pixel of a mosaic is between 1 nm and {COARSEST_M} m wide"
         )));
     }
     let form = arguments.output.as_deref().map(export::PictureForm::of).transpose()?;
@@ -75,7 +75,7 @@ fn coarser(asked_m: f64, rendered_m: f64) -> String {
 }
 
 /// Finest resolution, metres per pixel.
-const FINEST_M: f64 = 1e-6;
+const FINEST_M: f64 = 1e-9;
 
 /// Coarsest resolution, metres per pixel: more than a keyframe shows.
 const COARSEST_M: f64 = 1000.0;

@@ -72,7 +72,8 @@ pub fn write(file: &MapFile, path: &Path, form: GeographicForm, anchor: &Anchor)
         GeographicForm::Gpx => gpx(&lines),
     };
     files::write(path, text.as_bytes())?;
-    Ok(format!("{} stretches of path, {} keyframes", lines.len(), points.len()))
+    let stretches = if lines.len() == 1 { "stretch" } else { "stretches" };
+    Ok(format!("{} {stretches} of path, {} keyframes", lines.len(), points.len()))
 }
 
 fn geojson(lines: &[GeographicLine], points: &[GeographicPoint]) -> String {
