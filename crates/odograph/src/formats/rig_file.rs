@@ -318,13 +318,13 @@ mod tests {
             ("hight_m = 1", "unknown key `hight_m`; did you mean `height_m`?"),
             ("height_m = 1\nx_mm = 300", "unknown key `x_mm`; the keys are height_m, roll_deg"),
             ("height_m = 1\nx_m = 300", "the lever arm's x is 300.0 m"),
-            ("height_m = 1\nz = '-1e9cm'", "the lever arm's z is -10000000 m"),
+            ("height_m = 1\nz = '-1e9cm'", "the lever arm's z is -10000000.0 m"),
             ("height_m = 1\ny_m = inf", "y_m is inf"),
             ("height_m = 1\nx_m = 1\nx = '1m'", "both `x` and `x_m`"),
             ("focal_length = 1", "unknown key `focal_length`; the keys are height_m, roll_deg"),
             ("height_m = 1\n[more]\nx = 1", "`more`"),
             ("height_m = 1\n\"a\\u001B[2J\" = 1", "`a\\u{1b}[2J`"),
-            ("height_m = 1e300", "height_m is 1e300"),
+            ("height_m = 1e300", "the height is 1.0e300 m"),
         ] {
             let error = parse(text).unwrap_err();
             assert!(error.to_string().contains(part), "{text:?}: {error}");

@@ -54,10 +54,10 @@ pub struct ExportArguments {
 
 const EXAMPLES: &str = "\
 Examples:
-  odograph map export map.gpkg -o floor.tif                               # mosaic, metres of the map
+  odograph map export map.gpkg -o floor.tif                               # mosaic, in metres
   odograph map export map.gpkg --anchor 48.2082,16.3738,93.5 -o floor.tif # mosaic, UTM
   odograph map export map.gpkg --anchor 0,0=48.20,16.37 --anchor 12.5,-3=48.21,16.38 -o path.kml
-  odograph map export map.gpkg -o colmap/                                 # cameras, images, points";
+  odograph map export map.gpkg -o colmap/                                 # cameras, points";
 
 /// The formats of a picture.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
