@@ -116,3 +116,24 @@ fn is_very_wide(camera: &Camera) -> bool {
         camera.ray_from_pixel(Pixel::new(x, y)).is_none_or(|ray| ray.x.hypot(ray.y) > VERY_WIDE_RAD.tan())
     })
 }
+
+#[cfg(test)]
+#[allow(clippy::unwrap_used)] // in a test, what cannot be is a failure of the test
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_rational_lens_with_a_pole_in_the_image_is_recognised() {
+        for (coefficients, expected) in [
+            // Calibrated from a rendered board: numerator and denominator nearly vanish together.
+            (&[-5.41, 7.13, 0.0, 0.0, 0.514, -5.29, 6.47, 1.42][..], true),
+            // A wide lens, by OpenCV.
+            (&[20.6, 8.1, 0.0, 0.0, 0.1, 20.9, 14.9, 1.2], false),
+            (&[-0.28, 0.1, 0.0, 0.0, -0.01], false),
+        ] {
+            let lens = Distortion::from_opencv(coefficients).unwrap();
+            let camera = Camera::new((640, 480), (500.0, 500.0), (320.0, 240.0), lens).unwrap();
+            assert_eq!(has_pole(&camera), expected, "{coefficients:?}");
+        }
+    }
+}

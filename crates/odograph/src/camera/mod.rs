@@ -116,7 +116,9 @@ impl Camera {
                 )));
             }
         }
-        if let Some(bad) = distortion.coefficients().into_iter().find(|c| !(c.abs() <= MOST_DISTORTION)) {
+        if let Some(bad) =
+            distortion.coefficients().into_iter().find(|c| !(-MOST_DISTORTION..=MOST_DISTORTION).contains(c))
+        {
             return Err(Error::input(format!(
                 "a distortion coefficient is {bad:?}; it must be a number of at most a million"
             )));

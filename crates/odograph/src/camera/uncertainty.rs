@@ -164,3 +164,40 @@ fn coefficient<'a>(distortion: &'a mut Distortion, name: &str) -> Option<&'a mut
         }
     }
 }
+
+#[cfg(test)]
+#[allow(clippy::unwrap_used)] // in a test, what cannot be is a failure of the test
+mod tests {
+    use super::*;
+
+    fn camera() -> Camera {
+        let lens = Distortion::from_opencv(&[-5.4, 7.1, 0.0, 0.0, 0.5, -5.3, 6.5, 1.4]).unwrap();
+        Camera::new((640, 480), (500.0, 500.0), (320.0, 240.0), lens).unwrap()
+    }
+
+    fn uncertainty(names: &[&str], rows: &[f64]) -> CameraUncertainty {
+        let names: Vec<String> = names.iter().map(|name| (*name).to_owned()).collect();
+        let covariance = DMatrix::from_row_slice(names.len(), names.len(), rows);
+        CameraUncertainty::new(names, covariance).unwrap()
+    }
+
+    #[test]
+    fn a_linear_outcome_has_the_covariance_of_its_parameters() {
+        let known = uncertainty(&["fx", "cy", "unknown"], &[4.0, 1.5, 0.3, 1.5, 1.0, 0.2, 0.3, 0.2, 1.0]);
+        let outcome = |camera: &Camera| Some([camera.focal_px().0, 2.0 * camera.principal_px().1]);
+        let found = known.propagated(&camera(), outcome).unwrap();
+        assert!((found - SMatrix::<f64, 2, 2>::new(4.0, 3.0, 3.0, 4.0)).norm() < 1e-9, "{found}");
+    }
+
+    #[test]
+    fn coefficients_that_are_known_together_are_varied_together() {
+        let known = uncertainty(&["k1", "k4"], &[1.0, 1.0, 1.0, 1.0]);
+        // Alone, a change of k1 or k4 is no lens any more.
+        let outcome = |camera: &Camera| {
+            let [k1, k4] = ["k1", "k4"].map(|name| parameter(camera, name).unwrap());
+            ((k1 - k4 + 0.1).abs() < 1e-6).then_some([k1])
+        };
+        let found = known.propagated(&camera(), outcome).unwrap();
+        assert!((found[(0, 0)] - 1.0).abs() < 1e-9, "{found}");
+    }
+}
