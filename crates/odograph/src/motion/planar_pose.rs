@@ -230,10 +230,14 @@ pub fn refine(
     if (0..2).any(|i| covariance[(i, i)].sqrt() > MAX_RELATIVE_SIGMA * pose.height_m) {
         return None;
     }
+    let mut by_keyframe = pose_changes(&given_keyframe, &slopes, &unknowns);
+    // Where the keyframe stands changes neither height nor tilt. Left to rounding, the doubt of a
+    // metre after a gap would reach the tilt, and return as a jump of the path.
+    by_keyframe.fixed_view_mut::<3, 3>(3, 0).fill(0.0);
     Some(MotionEstimate {
         pose,
         covariance,
-        by_keyframe: pose_changes(&given_keyframe, &slopes, &unknowns),
+        by_keyframe,
         by_prior_tilt: by_prior_tilt(&given_keyframe, &rig_prior, &unknowns),
         keyframe_error,
         inliers,

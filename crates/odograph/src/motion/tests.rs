@@ -54,7 +54,7 @@ fn measured(
     let observations = Observations {
         seen,
         keyframe_pose: &GroundPose::level(1.0),
-        keyframe_covariance: &nalgebra::Matrix3::zeros(),
+        keyframe_covariance: &Matrix3::zeros(),
         shutter: None,
     };
     estimate(&camera(), observations, prediction, prior, config, &mut Random::new(seed))
@@ -165,6 +165,8 @@ fn the_derivative_by_the_keyframe_pose_is_right() {
         let prior =
             RigPrior { mean: [1.0, 0.0, 0.0], sigma: [0.1; 3], mount_share: [1.0; 3], shared_fraction: 0.0 };
         let found = measured(&seen, &to, &prior, &config, 1).unwrap();
+        // Moving and turning the whole ground leaves height and tilt, exactly.
+        assert_eq!(found.by_keyframe.fixed_view::<3, 3>(3, 0), Matrix3::zeros());
         for number in 0..6 {
             let mut off = numbers(&from);
             off[number] += 1e-4;
