@@ -6,9 +6,7 @@
 Needs numpy, scipy and opencv-python-headless. One recording is one sample, and results on it vary
 with every change. Variants are further samples with the same effects: they begin later, are
 mirrored, or are played backwards and turned upside down, so that the rows are still read in the
-order of time. Errors are root mean square position errors after alignment with the ground truth by
-SE(3), over the frames with a pose.
-
+order of @@
 The chain: Lucas-Kanade from frame to frame with a forward-backward check, corners on the plane
 where they were first seen, and the pose by PnP with RANSAC. It is given the same camera, height and
 tilt, and knows no keyframes and no rolling shutter.
@@ -67,23 +65,65 @@ def planar_checker_a(data):
     return Recording(files, times, poses, (419.97, 419.31), (353.93, 250.78), distortion, (752, 480))
 
 
-def write_variant(recording, folder, start, mirrored, backwards):
+def noise(image, sigma):
+    return image + np.random.default_rng(7).normal(0, sigma, image.shape)
+
+
+def vignetted(image):
+    """A lamp that is brightest beside the middle, and three times darker in the corners."""
+    (height, width) = image.shape
+    y, x = np.mgrid[:height, :width]
+    distance = ((x - 0.6 * width) ** 2 + (y - 0.4 * height) ** 2) / (0.25 * width) ** 2
+    return image * (0.4 + 1.2 * np.exp(-0.5 * distance))
+
+
+def behind_a_bumper(image):
+    image = image.copy()
+    image[int(0.85 * len(image)) :] = 30
+    image[int(0.85 * len(image)) :, ::9] = 220
+    return image
+
+
+def compressed(image):
+    quality = [cv2.IMWRITE_JPEG_QUALITY, 15]
+    return cv2.imdecode(cv2.imencode(".jpg", np.uint8(image), quality)[1], cv2.IMREAD_GRAYSCALE)
+
+
+# From an image in floating point and the number of its frame to another image.
+LOOKS = {
+    "": lambda image, _: image,
+    "dim": lambda image, _: noise(0.25 * image, 1.5),
+    "noisy": lambda image, _: noise(image, 8.0),
+    "blurred": lambda image, _: cv2.GaussianBlur(image, (0, 0), 2.0),
+    "changing exposure": lambda image, number: image * (1.0 + 0.4 * math.sin(number / 9.0)),
+    "JPEG": lambda image, _: compressed(image),
+    "half the size": lambda image, _: cv2.resize(image, None, fx=0.5, fy=0.5, interpolation=cv2.INTER_AREA),
+    "lamp": lambda image, _: vignetted(image),
+    "bumper": lambda image, _: behind_a_bumper(image),
+}
+
+
+def write_variant(recording, folder, start, mirrored, backwards, every, look):
     """Frames, frames.txt, camera.yaml, rig.toml and truth.tum of one variant."""
     (folder / "frames").mkdir()
-    order = list(range(len(recording.files)))[:: -1 if backwards else 1][start:]
+    order = list(range(len(recording.files)))[:: -1 if backwards else 1][start::every]
     (width, height), (x, y) = recording.size, recording.centre
+    (fx, fy), k = recording.focal, recording.distortion
     camera_axes = np.diag([-1.0 if mirrored else 1.0, -1.0 if backwards else 1.0, 1.0])
     world_axes = MIRROR_WORLD if mirrored != backwards else np.eye(3)
     if mirrored:
         x = width - 1 - x
     if backwards:
         y = height - 1 - y
+    if look == "half the size":
+        width, height, fx, fy, x, y = width // 2, height // 2, fx / 2, fy / 2, x / 2 - 0.25, y / 2 - 0.25
     frames, truth = [], []
     for number, index in enumerate(order):
         image = cv2.imread(str(recording.files[index]), cv2.IMREAD_GRAYSCALE)
         image = image[:: -1 if backwards else 1, :: -1 if mirrored else 1]
+        image = LOOKS[look](np.ascontiguousarray(image, np.float32), number)
         name = f"{number:06d}.png"
-        cv2.imwrite(str(folder / "frames" / name), np.ascontiguousarray(image))
+        cv2.imwrite(str(folder / "frames" / name), np.clip(np.round(image), 0, 255).astype(np.uint8))
         time = abs(recording.times[index] - recording.times[order[0]])
         frames.append(f"{time:.9f} {name}\n")
         if recording.poses[index] is not None:
@@ -94,7 +134,6 @@ def write_variant(recording, folder, start, mirrored, backwards):
             truth.append([time, *position, *Rotation.from_matrix(turn).as_quat()])
     (folder / "frames.txt").write_text("".join(frames))
     np.savetxt(folder / "truth.tum", truth, fmt="%.9f")
-    (fx, fy), k = recording.focal, recording.distortion
     (folder / "camera.yaml").write_text(
         f"%YAML:1.0\n---\nimage_width: {width}\nimage_height: {height}\n"
         "camera_matrix: !!opencv-matrix\n   rows: 3\n   cols: 3\n   dt: d\n"
@@ -165,35 +204,49 @@ def error_mm(path, truth):
     return 1e3 * math.sqrt(((b - a @ turn.T) ** 2).sum(1).mean())
 
 
-VARIANTS = {
+# How each recording is read, and the frames at which its variants begin.
+RECORDINGS = {
     "floor_flight": (floor_flight, [0, 75, 150, 225, 300]),
     "planar_checker_a": (planar_checker_a, [0, 100, 200]),
 }
 
 
+def variants(name, starts):
+    """(start, mirrored, backwards, every, look) of each variant of a recording."""
+    for start in starts:
+        for mirrored, backwards in [(False, False), (True, False), (False, True)]:
+            yield start, mirrored, backwards, 1, ""
+    flight = name == "floor_flight"
+    for backwards in [False, True] if flight else [False]:
+        yield from ((0, False, backwards, every, "") for every in [2, 3, 4])
+        yield from ((0, False, backwards, 2 if backwards else 1, look) for look in LOOKS if look)
+
+
 def main():
     parser = argparse.ArgumentParser(description=__doc__.split("\n")[0])
-    parser.add_argument("names", nargs="*", metavar="NAME", default=list(VARIANTS))
+    parser.add_argument("names", nargs="*", metavar="NAME", default=list(RECORDINGS))
     parser.add_argument("--data", type=Path, required=True)
     parser.add_argument("--program", type=Path, default=Path("target/release/odograph"))
     arguments = parser.parse_args()
     print("| variant | frames | odograph: with a pose | error, mm | chain: error, mm |\n|---|---|---|---|---|")
     for name in arguments.names:
-        read, starts = VARIANTS[name]
+        read, starts = RECORDINGS[name]
         recording = read(arguments.data)
-        for start in starts:
-            for mirrored, backwards in [(False, False), (True, False), (False, True)]:
-                with tempfile.TemporaryDirectory() as place:
-                    folder = Path(place)
-                    write_variant(recording, folder, start, mirrored, backwards)
-                    command = [str(arguments.program.resolve()), "run", "frames", "--timestamps", "frames.txt"]
-                    command += ["--camera", "camera.yaml", "--rig", "rig.toml", "-o", "drive", "--quiet"]
-                    subprocess.run(command, cwd=folder, check=False, stderr=subprocess.DEVNULL)
-                    truth = np.loadtxt(folder / "truth.tum")
-                    ours = np.loadtxt(folder / "drive" / "trajectory.tum", ndmin=2)
-                    label = f"{name} from {start}" + ", mirrored" * mirrored + ", backwards" * backwards
-                    plain = error_mm(chain(folder), truth)
-                    print(f"| {label} | {len(truth)} | {len(ours)} | {error_mm(ours, truth):.1f} | {plain:.1f} |")
+        for variant in variants(name, starts):
+            start, mirrored, backwards, every, look = variant
+            with tempfile.TemporaryDirectory() as place:
+                folder = Path(place)
+                write_variant(recording, folder, *variant)
+                command = [str(arguments.program.resolve()), "run", "frames", "--timestamps", "frames.txt"]
+                command += ["--camera", "camera.yaml", "--rig", "rig.toml", "-o", "drive", "--quiet"]
+                subprocess.run(command, cwd=folder, check=False, stderr=subprocess.DEVNULL)
+                frames = len((folder / "frames.txt").read_text().splitlines())
+                truth = np.loadtxt(folder / "truth.tum")
+                ours = np.loadtxt(folder / "drive" / "trajectory.tum", ndmin=2)
+                label = f"{name} from {start}" + ", mirrored" * mirrored + ", backwards" * backwards
+                label += f", every {every}" * (every > 1) + f", {look}" * bool(look)
+                plain = error_mm(chain(folder), truth)
+                print(f"| {label} | {frames} | {len(ours)} | {error_mm(ours, truth):.1f} | {plain:.1f} |")
 
 
 if __name__ == "__main__":
