@@ -1,6 +1,7 @@
 #![no_main]
 
 use odograph::formats::gnss_file;
+use odograph_fuzz as _; // bounds the memory
 
 libfuzzer_sys::fuzz_target!(|text: &str| {
     if let Ok(fixes) = gnss_file::parse(text) {

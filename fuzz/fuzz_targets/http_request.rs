@@ -1,3 +1,5 @@
 #![no_main]
 
+use odograph_fuzz as _; // bounds the memory
+
 libfuzzer_sys::fuzz_target!(|bytes: &[u8]| odograph_live::server::read_request(bytes));

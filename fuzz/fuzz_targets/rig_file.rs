@@ -1,6 +1,7 @@
 #![no_main]
 
 use odograph::formats::rig_file;
+use odograph_fuzz as _; // bounds the memory
 
 libfuzzer_sys::fuzz_target!(|text: &str| {
     if let Ok(rig) = rig_file::parse(text) {

@@ -2,6 +2,7 @@
 
 use odograph::filter::fusion::SensorKind;
 use odograph::formats::sensor_file;
+use odograph_fuzz as _; // bounds the memory
 
 libfuzzer_sys::fuzz_target!(|text: &str| {
     for sensor in [SensorKind::Gyro, SensorKind::Heading, SensorKind::Wheel, SensorKind::Range] {

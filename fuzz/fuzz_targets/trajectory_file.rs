@@ -2,6 +2,7 @@
 
 use odograph::formats::trajectory_file;
 use odograph_live::TrackRecord;
+use odograph_fuzz as _; // bounds the memory
 
 libfuzzer_sys::fuzz_target!(|text: &str| {
     let _ = trajectory_file::guess_format(text);

@@ -1,7 +1,8 @@
 //! What the fuzz targets share: files in memory, recordings decoded to their end.
 //!
 //! A target fails by a panic, by taking longer than the time limit, or by exceeding the memory
-//! limit; panics of third-party decoders that become errors are no failures.
+//! limit. Panics of third-party decoders that become errors are no failures, but are listed; those
+//! of our own code are failures even where they would become errors.
 
 use nalgebra::{Matrix4, Matrix6, Vector4};
 use odograph::camera::{Camera, Distortion, Rig};
@@ -12,8 +13,95 @@ use odograph::image::GrayImage;
 use odograph::keyframe::{EdgeKind, KeyframeId, MapEdge};
 use odograph::place_recognition::{GroundFeature, Signature};
 use odograph_map::{MapFile, PathFrame};
-use odograph_video::{SourceOptions, open};
+use odograph_video::{Picture, SourceOptions, open};
+use std::alloc::{GlobalAlloc, Layout, System};
+use std::collections::HashSet;
 use std::path::{Path, PathBuf};
+use std::sync::atomic::{AtomicUsize, Ordering};
+use std::sync::{Mutex, Once};
+
+/// Most memory in use at any time, bytes: 17 frames of 36 megapixels with their chroma, which a
+/// video decoder may hold, and the copies of a picture while it is converted.
+const MAX_IN_USE: usize = 2 << 30;
+
+/// The system allocator, which ends the process when more than [`MAX_IN_USE`] is in use: the limit
+/// of libFuzzer misses memory that is never written or soon given back.
+struct BoundedAllocator;
+
+static IN_USE: AtomicUsize = AtomicUsize::new(0);
+
+fn claim(size: usize) {
+    let before = IN_USE.fetch_add(size, Ordering::Relaxed);
+    if before < MAX_IN_USE && size >= MAX_IN_USE - before {
+        // What the report itself allocates is above the limit already, and is not checked again.
+        end(&format!("{size} bytes were asked for while {before} were in use"));
+    }
+}
+
+/// Ends the process with a message and the place it comes from.
+fn end(message: &str) -> ! {
+    eprintln!("{message}\n{}", std::backtrace::Backtrace::force_capture());
+    std::process::abort();
+}
+
+fn give_back(size: usize) {
+    IN_USE.fetch_sub(size, Ordering::Relaxed);
+}
+
+// SAFETY: all calls are forwarded unchanged to the system allocator.
+unsafe impl GlobalAlloc for BoundedAllocator {
+    unsafe fn alloc(&self, layout: Layout) -> *mut u8 {
+        claim(layout.size());
+        // SAFETY: the caller's guarantees are those that the system allocator requires.
+        unsafe { System.alloc(layout) }
+    }
+
+    unsafe fn alloc_zeroed(&self, layout: Layout) -> *mut u8 {
+        claim(layout.size());
+        // SAFETY: the caller's guarantees are those that the system allocator requires.
+        unsafe { System.alloc_zeroed(layout) }
+    }
+
+    unsafe fn dealloc(&self, memory: *mut u8, layout: Layout) {
+        give_back(layout.size());
+        // SAFETY: the caller's guarantees are those that the system allocator requires.
+        unsafe { System.dealloc(memory, layout) }
+    }
+
+    unsafe fn realloc(&self, memory: *mut u8, layout: Layout, size: usize) -> *mut u8 {
+        claim(size);
+        give_back(layout.size());
+        // SAFETY: the caller's guarantees are those that the system allocator requires.
+        unsafe { System.realloc(memory, layout, size) }
+    }
+}
+
+#[global_allocator]
+static ALLOCATOR: BoundedAllocator = BoundedAllocator;
+
+/// Makes panics of our own code failures where `odograph-video` would make errors of them, and
+/// lists the places of all others.
+fn judge_panics() {
+    static ONCE: Once = Once::new();
+    static LISTED: Mutex<Option<HashSet<String>>> = Mutex::new(None);
+    ONCE.call_once(|| {
+        // Its own hook is installed by the first call, and must be below this one.
+        let _ = Picture::from_jpeg(&[], false);
+        let hook = std::panic::take_hook();
+        std::panic::set_hook(Box::new(move |info| {
+            let place = info.location().map(ToString::to_string).unwrap_or_default();
+            if place.contains("crates/odograph") {
+                end(&info.to_string());
+            }
+            hook(info);
+            if let Ok(mut listed) = LISTED.lock()
+                && listed.get_or_insert_default().insert(place.clone())
+            {
+                eprintln!("contained: {place}");
+            }
+        }));
+    });
+}
 
 /// A file of this process in memory, where the system has a place for that.
 pub fn scratch(name: &str) -> PathBuf {
@@ -25,10 +113,16 @@ pub fn scratch(name: &str) -> PathBuf {
 /// Decodes a recording, a robot recording or a picture: its frames up to a number that keeps a
 /// single input short, and the description of its contents.
 pub fn decode(name: &str, bytes: &[u8]) {
+    let options = SourceOptions { max_frames: Some(4), color: true, ..SourceOptions::default() };
+    decode_with(name, bytes, &options);
+}
+
+/// Decodes a recording with options.
+pub fn decode_with(name: &str, bytes: &[u8], options: &SourceOptions) {
+    judge_panics();
     let path = scratch(name);
     std::fs::write(&path, bytes).expect("the file in memory can be written");
-    let options = SourceOptions { max_frames: Some(4), color: true, ..SourceOptions::default() };
-    if let Ok(mut source) = open(&path, &options) {
+    if let Ok(mut source) = open(&path, options) {
         while let Ok(Some(frame)) = source.next_frame() {
             std::hint::black_box(frame.rgb());
         }
@@ -38,15 +132,15 @@ pub fn decode(name: &str, bytes: &[u8]) {
 
 /// The other readers of a robot recording: its contents, camera, mount, sensors and positions.
 pub fn read_topics(name: &str, bytes: &[u8]) {
+    judge_panics();
     let path = scratch(name);
     std::fs::write(&path, bytes).expect("the file in memory can be written");
     let _ = odograph_video::inspect(&path);
-        let _ = odograph_video::recorded_camera(&path, None);
+    let _ = odograph_video::recorded_camera(&path, None);
     let _ = odograph_video::recorded_mount(&path, None);
-    for kind in [SensorKind::Gyro, SensorKind::Wheel, SensorKind::Range] {
-        for topic in ["/imu", "/odom", "/range"] {
-            let _ = odograph_video::recorded_sensor(&path, topic, kind);
-        }
+    let sensors = [("/imu", SensorKind::Gyro), ("/odom", SensorKind::Wheel), ("/range", SensorKind::Range)];
+    for (topic, kind) in sensors {
+        let _ = odograph_video::recorded_sensor(&path, topic, kind);
     }
     let _ = odograph_video::recorded_fixes(&path, "/fix");
 }
@@ -114,6 +208,7 @@ pub fn changed_map(map: &[u8], changes: &[u8]) -> Vec<u8> {
 
 /// Reads a map as the program's commands do, thins it, and repairs it.
 pub fn use_map(bytes: &[u8]) {
+    judge_panics();
     let (path, repaired) = (scratch("map.gpkg"), scratch("repaired.gpkg"));
     let write = || std::fs::write(&path, bytes).expect("the file in memory can be written");
     write();

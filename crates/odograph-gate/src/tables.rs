@@ -112,6 +112,35 @@ const KILL_COLUMNS: [(&str, &str); 9] = [
     ("failed", "failed checks"),
 ];
 
+/// Figures of `fuzz/run.py`.
+const FUZZ: &str = include_str!("../../../bench/fuzz.json");
+
+/// The fuzz targets, how long they ran and what that found.
+fn fuzz_table() -> Result<String> {
+    let unreadable = || Error::input("bench/fuzz.json is not what fuzz/run.py writes");
+    let fuzz: serde_json::Value = serde_json::from_str(FUZZ).map_err(|_| unreadable())?;
+    let targets = fuzz["targets"].as_object().ok_or_else(unreadable)?;
+    let mut text = String::from(
+        "| target | executions | processor minutes | features | memory, MB | failures | inputs that once failed |\n\
+         |---|---|---|---|---|---|---|\n",
+    );
+    let (mut executions, mut seconds, mut failures, mut kept) = (0, 0, 0, 0);
+    for (name, figures) in targets {
+        let number = |key: &str| figures[key].as_u64().ok_or_else(unreadable);
+        let (ran, took_s, failed, inputs) =
+            (number("executions")?, number("processor_s")?, number("failures")?, number("regressions")?);
+        let (features, memory_mb) = (number("features")?, number("memory_mb")?);
+        text += &format!(
+            "| `{name}` | {ran} | {:.1} | {features} | {memory_mb} | {failed} | {inputs} |\n",
+            took_s as f64 / 60.0
+        );
+        (executions, seconds, failures, kept) =
+            (executions + ran, seconds + took_s, failures + failed, kept + inputs);
+    }
+    text += &format!("| all | {executions} | {:.1} | | | {failures} | {kept} |\n", seconds as f64 / 60.0);
+    Ok(text)
+}
+
 /// The table of that name.
 fn table(name: &str, baseline: &Baseline) -> Result<String> {
     if name == "field" {
@@ -119,6 +148,9 @@ fn table(name: &str, baseline: &Baseline) -> Result<String> {
     }
     if name == "kills" {
         return kills_table();
+    }
+    if name == "fuzz" {
+        return fuzz_table();
     }
     let is_real = |row: &&RowFigures| recordings::all().iter().any(|real| real.name == row.name);
     let (rows, keys): (Vec<&RowFigures>, &[&str]) = match name {

@@ -2,6 +2,7 @@
 //! of several cameras have, those of sessions that were made with others.
 
 use crate::complaint::{Complaint, WithContext};
+use crate::row_order::RowOrder;
 use crate::{lever_arm, schema};
 use odograph::camera::{Camera, Distortion, LeverArm, Rig};
 use odograph::error::Result;
@@ -112,8 +113,9 @@ pub(crate) fn read_of_sessions(
         )
         .while_reading(complaint)?;
     let mut rows = statement.query([]).while_reading(complaint)?;
-    let mut cameras = BTreeMap::new();
+    let (mut cameras, mut order) = (BTreeMap::new(), RowOrder::default());
     while let Some(row) = rows.next().while_reading(complaint)? {
+        row.get(0).and_then(|session| order.check(session)).while_reading(complaint)?;
         let (session, stored, rig) = read_row(row).while_reading(complaint)?;
         let mounted = MountedCamera { camera: stored.camera(complaint)?, rig: checked(rig, complaint)? };
         cameras.insert(session, mounted);

@@ -8,6 +8,7 @@
 mod cameras;
 mod claim;
 mod complaint;
+mod row_order;
 mod edges;
 mod file;
 mod frames;

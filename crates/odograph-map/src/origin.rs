@@ -5,6 +5,7 @@
 //! which only maps with a named robot have.
 
 use crate::complaint::{Complaint, WithContext};
+use crate::row_order::RowOrder;
 use crate::schema;
 use odograph::error::{Error, Result};
 use odograph::keyframe::KeyframeId;
@@ -95,8 +96,12 @@ pub(crate) fn read(connection: &Connection, complaint: &Complaint) -> Result<BTr
     let mut statement = connection
         .prepare("SELECT session, robot, key FROM odograph_session_origin ORDER BY session")
         .while_reading(complaint)?;
+    let mut order = RowOrder::default();
     let rows = statement
-        .query_map([], |row| Ok((row.get(0)?, SessionOrigin { robot: row.get(1)?, key: row.get(2)? })))
+        .query_map([], |row| {
+            order.check(row.get(0)?)?;
+            Ok((row.get(0)?, SessionOrigin { robot: row.get(1)?, key: row.get(2)? }))
+        })
         .while_reading(complaint)?;
     rows.map(|row| {
         let (session, origin): (u32, SessionOrigin) = row.while_reading(complaint)?;

@@ -10,6 +10,7 @@ use crate::file::MapFile;
 use crate::keyframes::{self, is_pose};
 use crate::numbers::symmetric_from_bytes;
 use crate::paths::{self, PathFrame};
+use crate::row_order::RowOrder;
 use crate::thinning::edges_without;
 use crate::{cameras, complaint::WithContext, origin, schema};
 use odograph::error::{Error, Result};
@@ -20,7 +21,7 @@ use rusqlite::{Connection, Row, params};
 use std::collections::{BTreeMap, BTreeSet};
 use std::path::Path;
 
-/// Rows that are looked for one by one beyond the last that could be read in order.
+/// Rows of a table that are looked for one by one beyond the last that could be read in order.
 const PROBED_ROWS: i64 = 1 << 16;
 
 /// What [`repair`] saved of a map.
@@ -79,7 +80,7 @@ fn readable(source: &mut MapFile, keep_going: &mut dyn FnMut() -> bool) -> Resul
     let select = format!("SELECT {}, NULL FROM keyframes", keyframes::COLUMNS);
     let mut lost = BTreeSet::new();
     let mut keyframes = Vec::new();
-    for (id, row) in rows(&source.connection, &select, "TRUE", "id", keyframes::read) {
+    for (id, row) in rows(&source.connection, &select, "TRUE", "id", &mut { PROBED_ROWS }, keyframes::read) {
         let valid = row.ok().and_then(|(keyframe, covariance, _)| {
             let covariance = symmetric_from_bytes(&covariance)?;
             let whole = [&keyframe.pose, &keyframe.odometry_pose].into_iter().all(is_pose)
@@ -102,7 +103,7 @@ fn readable(source: &mut MapFile, keep_going: &mut dyn FnMut() -> bool) -> Resul
     let placed: BTreeSet<KeyframeId> = keyframes.iter().map(|keyframe| keyframe.id).collect();
     let select = format!("SELECT {} FROM odograph_edge", edges::COLUMNS);
     let mut edges = Vec::new();
-    for (_, row) in rows(&source.connection, &select, "TRUE", "id", StoredEdge::read) {
+    for (_, row) in rows(&source.connection, &select, "TRUE", "id", &mut { PROBED_ROWS }, StoredEdge::read) {
         let Some(edge) = row.ok().and_then(|stored| stored.edge().ok()) else { continue };
         let missing: Vec<KeyframeId> =
             [edge.from, edge.to].into_iter().filter(|end| !placed.contains(end)).collect();
@@ -136,8 +137,8 @@ fn signature(connection: &Connection, keyframe: KeyframeId) -> Option<Signature>
 fn sessions(connection: &Connection, map: &GroundMap) -> BTreeMap<u32, String> {
     let read = |row: &Row<'_>| Ok((row.get(0)?, row.get(1)?));
     let select = "SELECT id, source FROM odograph_session";
-    let mut sessions: BTreeMap<u32, String> =
-        rows(connection, select, "TRUE", "id", read).into_values().filter_map(|row| row.ok()).collect();
+    let rows = rows(connection, select, "TRUE", "id", &mut { PROBED_ROWS }, read);
+    let mut sessions: BTreeMap<u32, String> = rows.into_values().filter_map(|row| row.ok()).collect();
     for keyframe in &map.keyframes {
         sessions.entry(keyframe.session).or_insert_with(|| "unknown".to_owned());
     }
@@ -178,8 +179,11 @@ fn write(
     }
     edges::insert(&transaction, &map.edges).while_writing(&complaint)?;
     let mut frames = 0;
+    // Of all sessions together: there may be many.
+    let mut probes = PROBED_ROWS;
     for &session in sessions.keys() {
-        let path = path(&source.connection, session);
+        go_on(keep_going)?;
+        let path = path(&source.connection, session, &mut probes);
         paths::write(&transaction, session, &path).while_writing(&complaint)?;
         frames += path.len();
     }
@@ -188,9 +192,10 @@ fn write(
 }
 
 /// The readable frames of a session's path.
-fn path(connection: &Connection, session: u32) -> Vec<PathFrame> {
+fn path(connection: &Connection, session: u32, probes: &mut i64) -> Vec<PathFrame> {
     let select = format!("SELECT {} FROM odograph_frame", paths::COLUMNS);
-    let frames = rows(connection, &select, &format!("session = {session}"), "frame", paths::frame_from);
+    let condition = format!("session = {session}");
+    let frames = rows(connection, &select, &condition, "frame", probes, paths::frame_from);
     let valid = |frame: &PathFrame| is_pose(&frame.pose) && frame.time_s.is_finite();
     frames.into_values().filter_map(|frame| frame.ok().filter(valid)).collect()
 }
@@ -198,36 +203,48 @@ fn path(connection: &Connection, session: u32) -> Vec<PathFrame> {
 /// The rows of a table that can be read and fulfil a condition, by their integer key, the first
 /// column of `select`. A row that is there but of which `read` fails is returned with its error.
 ///
-/// Reads upwards to the first damage and downwards to the last, then looks for each row in between.
+/// Reads upwards to the first damage and downwards to the last, then looks for at most `probes`
+/// rows in between one by one, and subtracts their number.
 fn rows<T>(
     connection: &Connection,
     select: &str,
     condition: &str,
     key: &str,
+    probes: &mut i64,
     read: impl Fn(&Row<'_>) -> rusqlite::Result<T>,
 ) -> BTreeMap<i64, rusqlite::Result<T>> {
-    let take = |further: String, found: &mut BTreeMap<i64, rusqlite::Result<T>>| -> rusqlite::Result<()> {
+    type Found<T> = BTreeMap<i64, rusqlite::Result<T>>;
+    let take = |further: String, mut order: RowOrder, found: &mut Found<T>| -> rusqlite::Result<()> {
         let mut statement = connection.prepare(&format!("{select} WHERE {condition} {further}"))?;
         let mut rows = statement.query([])?;
         while let Some(row) = rows.next()? {
-            if let Ok(number) = row.get(0) {
-                found.insert(number, read(row));
-            }
+            let number = row.get(0)?;
+            order.check(number)?;
+            found.insert(number, read(row));
         }
         Ok(())
     };
     let mut found = BTreeMap::new();
-    if take(format!("ORDER BY {key}"), &mut found).is_ok() {
+    if take(format!("ORDER BY {key}"), RowOrder::default(), &mut found).is_ok() {
         return found;
     }
-    let first = found.keys().next_back().map_or(0, |last| last + 1);
+    let first = found.keys().next_back().map_or(0, |last| last.saturating_add(1));
     let mut above = BTreeMap::new();
     // Ends at the damage, with what is above it.
-    let _ = take(format!("AND {key} >= {first} ORDER BY {key} DESC"), &mut above);
-    let end = above.keys().next().copied().unwrap_or(i64::MAX).min(first.saturating_add(PROBED_ROWS));
-    for number in first..end {
-        let _ = take(format!("AND {key} = {number}"), &mut found);
+    let _ = take(format!("AND {key} >= {first} ORDER BY {key} DESC"), RowOrder::descending(), &mut above);
+    let end = above.keys().next().copied().unwrap_or(i64::MAX).min(first.saturating_add(*probes));
+    *probes -= (end - first).max(0);
+    // One statement in one transaction: both cost more than the row.
+    let moment = connection.unchecked_transaction();
+    if let Ok(mut statement) = connection.prepare(&format!("{select} WHERE {condition} AND {key} = ?1")) {
+        for number in first..end {
+            let row = statement.query_row([number], |row| Ok(read(row)));
+            if let Ok(row) = row {
+                found.insert(number, row);
+            }
+        }
     }
+    drop(moment);
     found.append(&mut above);
     found
 }

@@ -4,6 +4,7 @@
 #![allow(clippy::unwrap_used)] // a test may panic
 
 mod ground;
+mod repeated_rows;
 
 use odograph::camera::Rig;
 use odograph::ground_map::KeyframeImages;
@@ -189,4 +190,22 @@ fn a_rejected_file_is_unchanged() {
     assert!(
         MapFile::open(&path).unwrap().load(KeyframeId(7)).unwrap_err().to_string().contains("keyframe 7")
     );
+}
+
+/// 27 million times the same rows, in a few pages.
+#[test]
+fn tables_without_end_are_refused() {
+    type Read = fn(&MapFile) -> odograph::error::Result<()>;
+    let reads: [(&str, Read); 4] = [
+        ("keyframes", |map| map.map().map(drop)),
+        ("odograph_edge", |map| map.map().map(drop)),
+        ("odograph_session", |map| map.sessions().map(drop)),
+        ("odograph_image", |map| map.image_bytes().map(drop)),
+    ];
+    for (table, read) in reads {
+        let (_folder, path) = tampered("SELECT 1");
+        repeated_rows::repeat_rows(&path, table);
+        let message = read(&MapFile::open_read_only(&path).unwrap()).unwrap_err().to_string();
+        assert!(message.contains("is damaged: its rows are not in order"), "{message}");
+    }
 }

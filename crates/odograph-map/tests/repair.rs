@@ -4,6 +4,7 @@
 #![allow(clippy::unwrap_used)] // a test may panic
 
 mod ground;
+mod repeated_rows;
 
 use odograph::camera::Rig;
 use odograph::keyframe::KeyframeId;
@@ -135,6 +136,17 @@ fn rows_around_a_damaged_page_are_saved() {
     let frames: Vec<u64> = map.path_of(0).unwrap().iter().map(|frame| frame.frame).collect();
     assert!((1900..2000).contains(&frames.len()), "{} frames", frames.len());
     assert!(frames.contains(&0) && frames.contains(&(FRAMES - 1)) && !frames.contains(&1001));
+}
+
+#[test]
+fn tables_without_end_are_read_once() {
+    let damage = |path: &Path| {
+        altered("DELETE FROM odograph_edge WHERE id > 4")(path);
+        repeated_rows::repeat_rows(path, "odograph_edge");
+        repeated_rows::repeat_rows(path, "odograph_session");
+    };
+    let (saved, map) = repaired(damage).unwrap();
+    assert_eq!((saved.keyframes, saved.edges, map.sessions().unwrap().len()), (24, 4, 1));
 }
 
 #[test]

@@ -25,3 +25,17 @@ pub use link::{LinkReport, SiteLink};
 pub use protocol::SiteStatus;
 pub use server::{DEFAULT_PORT, SiteServer};
 pub use site::Site;
+
+/// Reads the body of a request as a description of a session and as records, for the fuzz target.
+#[cfg(fuzzing)]
+pub fn read_body(body: &[u8]) {
+    if let Ok(description) = serde_json::from_slice::<protocol::SessionDescription>(body) {
+        let _ = description.validated();
+    }
+    for bytes in record::Record::split(body).unwrap_or_default() {
+        if let Ok(record) = record::Record::from_bytes(bytes) {
+            assert!(record.to_bytes().is_ok(), "a record that was read can be written");
+            record.head.edges.iter().for_each(|edge| assert!(edge.edge(|_| None).is_none()));
+        }
+    }
+}

@@ -92,6 +92,32 @@ fn a_rotated_video_is_output_upright() {
 }
 
 #[test]
+fn an_edit_list_of_very_many_parts_is_ignored() {
+    // The index is behind the frames, so that their places stay.
+    let mut bytes = std::fs::read(path("edited.mov")).unwrap();
+    let place = |name: &[u8]| bytes.windows(4).position(|window| window == name).unwrap();
+    let [moov, trak, edts, elst] = [&b"moov"[..], b"trak", b"edts", b"elst"].map(place);
+    let number = |bytes: &[u8], at: usize| u32::from_be_bytes(bytes[at..at + 4].try_into().unwrap());
+    let end = elst - 4 + number(&bytes, elst - 4) as usize;
+    let more = 300;
+    let part = bytes[end - 12..end].to_vec();
+    bytes.splice(end..end, part.repeat(more));
+    for at in [moov, trak, edts, elst] {
+        let size = number(&bytes, at - 4) + 12 * more as u32;
+        bytes[at - 4..at].copy_from_slice(&size.to_be_bytes());
+    }
+    let count = number(&bytes, elst + 8) + more as u32;
+    bytes[elst + 8..elst + 12].copy_from_slice(&count.to_be_bytes());
+    let file = tempfile::NamedTempFile::new().unwrap();
+    std::fs::write(&file, bytes).unwrap();
+    let mut source = open(&file, &SourceOptions::default()).unwrap();
+    // The edit list shows four of them.
+    assert_eq!(all(&mut source).len(), 6);
+    let warnings = source.take_warnings();
+    assert!(warnings[0].contains("parts, more than 256, and was ignored"), "{warnings:?}");
+}
+
+#[test]
 fn color_is_kept_only_on_request() {
     assert!(!opened("hevc.mp4", &SourceOptions::default()).next_frame().unwrap().unwrap().has_color());
     for name in ["h264_bframes.mp4", "h264_422.mkv", "hevc.mp4", "vp9.webm", "mjpeg.avi"] {

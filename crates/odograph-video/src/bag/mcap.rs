@@ -65,7 +65,10 @@ impl Mcap {
             warned: false,
         };
         if mcap.read_summary()?.is_none() {
+            // What a damaged summary listed is forgotten, numbers of channels included.
             mcap.topics = Topics::default();
+            mcap.schemas.clear();
+            mcap.channels.clear();
             mcap.rewind()?;
             count(&mut mcap, |mcap, topic, log_ns| mcap.topics.all[topic].add(1, (log_ns, log_ns)))?;
         }

@@ -107,6 +107,9 @@ impl SetUp {
     }
 
     fn parameter_set(&mut self, unit: &[u8]) {
+        if unit.is_empty() {
+            return;
+        }
         if self.parameters.is_none() {
             self.parameters = SequenceParameters::read(unit);
         }

@@ -39,7 +39,7 @@ impl SequenceParameters {
             if chroma_format == 3 {
                 bits.bit()?;
             }
-            bit_depth = 8 + bits.ue()?;
+            bit_depth = bits.ue()?.checked_add(8)?;
             bits.ue()?;
             may_be_lossless = bits.bit()?;
             if bits.bit()? {

@@ -30,6 +30,11 @@ pub(crate) fn decode(bytes: &[u8], color: bool) -> Result<Picture> {
     let info = decoder.info().ok_or_else(|| damaged(&"it has no head"))?;
     let (width, height) = (usize::from(info.width), usize::from(info.height));
     limits::check_size(width, height)?;
+    // A block of 8x8 samples takes at least one bit (ITU-T T.81, F.1.2). The decoder would fill in
+    // what is missing, for seconds.
+    if width.div_ceil(8) * height.div_ceil(8) > 8 * bytes.len() {
+        return Err(damaged(&format_args!("{} bytes are too few for {width}x{height} pixels", bytes.len())));
+    }
     let (wanted, deferred) = match decoder.input_colorspace() {
         Some(ColorSpace::Luma) => (ColorSpace::Luma, false),
         Some(ColorSpace::YCbCr) => (ColorSpace::Luma, color),
@@ -108,5 +113,21 @@ impl Decoder for MotionJpeg {
 
     fn description(&self) -> String {
         "Motion JPEG".to_string()
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_size_that_its_bytes_cannot_have_is_refused() {
+        let mut bytes = include_bytes!("../../tests/data/ramp.jpg").to_vec();
+        assert!(decode(&bytes, false).is_ok());
+        // Height and width in the frame header.
+        let at = 5 + bytes.windows(2).position(|pair| pair == [0xff, 0xc0]).unwrap();
+        bytes[at..at + 4].copy_from_slice(&[16, 8, 47, 16]);
+        let message = decode(&bytes, false).unwrap_err().to_string();
+        assert!(message.ends_with("219 bytes are too few for 12048x4104 pixels"), "{message}");
     }
 }

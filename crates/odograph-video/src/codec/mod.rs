@@ -15,7 +15,7 @@ use crate::frame::Picture;
 use odograph::error::{Error, Result};
 
 /// Reads sequence parameters of H.264 and HEVC, for the fuzz target.
-#[cfg(fuzzing)]
+#[cfg(any(fuzzing, test))]
 pub fn read_parameter_sets(unit: &[u8]) {
     let _ = h264_parameters::SequenceParameters::read(unit);
     let _ = h265_parameters::HevcSequenceParameters::read(unit);
@@ -103,3 +103,15 @@ pub(crate) fn decoders(track: &VideoTrack, color: bool) -> Result<(Vec<MakeDecod
 
 /// Constructs a decoder at the start of its stream.
 pub(crate) type MakeDecoder = Box<dyn Fn() -> Result<Box<dyn Decoder>> + Send>;
+
+#[cfg(test)]
+mod tests {
+    /// What once failed the fuzz target.
+    #[test]
+    fn damaged_parameters_are_read_or_refused() {
+        let folder = concat!(env!("CARGO_MANIFEST_DIR"), "/../../fuzz/regressions/parameter_sets");
+        let mut inputs = std::fs::read_dir(folder).unwrap().peekable();
+        assert!(inputs.peek().is_some());
+        inputs.for_each(|input| super::read_parameter_sets(&std::fs::read(input.unwrap().path()).unwrap()));
+    }
+}

@@ -287,8 +287,7 @@ impl MatroskaReader {
         }
         let header = packet.data.len() - bytes.rest().len();
         packet.data.splice(..header, self.stripped.iter().copied());
-        let ticks = i128::from(self.cluster_ticks) + i128::from(ticks);
-        packet.time_s = (ticks * i128::from(self.tick_ns)) as f64 / 1e9;
+        packet.time_s = block_time_s(self.cluster_ticks, ticks, self.tick_ns);
         packet.shown = true;
         Ok(true)
     }
@@ -328,6 +327,11 @@ impl PacketReader for MatroskaReader {
     fn take_warnings(&mut self) -> Vec<String> {
         std::mem::take(&mut self.warnings)
     }
+}
+
+/// Time of a block from that of its cluster, seconds.
+fn block_time_s(cluster_ticks: i64, ticks: i16, tick_ns: u64) -> f64 {
+    (i128::from(cluster_ticks) + i128::from(ticks)).saturating_mul(tick_ns.into()) as f64 / 1e9
 }
 
 /// Decodes a variable-length size (VINT); `None` if all bits are one, which means unknown.
@@ -415,6 +419,12 @@ mod tests {
         assert_eq!(size_of(&[0xff]), None);
         assert_eq!(size_of(&[0x01, 0xff, 0xff, 0xff, 0xff, 0xff, 0xff, 0xff]), None);
         assert_eq!(size_of(&[0x01, 0, 0, 0, 0, 0, 1, 0]), Some(256));
+    }
+
+    #[test]
+    fn times_of_blocks() {
+        assert_eq!(block_time_s(40, -1, 1_000_000), 0.039);
+        assert!(block_time_s(i64::MAX, i16::MAX, u64::MAX).is_finite());
     }
 
     #[test]

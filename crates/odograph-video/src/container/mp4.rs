@@ -13,6 +13,9 @@ use odograph::error::{Error, Result};
 use std::fs::File;
 use std::io::{BufReader, Read, Seek, SeekFrom};
 
+/// Most parts of an edit list: each is compared with each frame. Cameras write two.
+const MAX_EDITS: usize = 256;
+
 /// Reads the samples of the first video track of an MP4 or QuickTime file.
 pub(crate) struct Mp4Reader {
     file: BufReader<File>,
@@ -55,6 +58,13 @@ impl Mp4Reader {
             return Err(Error::input(format!("frame {too_large} claims to take more than 256 MB")));
         }
         let mut edits = movie.edits;
+        if edits.len() > MAX_EDITS {
+            warnings.push(format!(
+                "the edit list has {} parts, more than {MAX_EDITS}, and was ignored",
+                edits.len()
+            ));
+            edits.clear();
+        }
         if samples.is_empty() {
             return Err(Error::input(format!("the file is cut off: none of its {promised} frames is there")));
         }
@@ -131,7 +141,8 @@ fn time_of(edits: &[Edit], timescale: f64, time: i64) -> Option<f64> {
 /// one). Reordering needs a consistent timestamp for it.
 fn hidden_time_of(edits: &[Edit], timescale: f64, time: i64) -> f64 {
     let edit = edits.iter().rfind(|e| e.media_from <= time).or(edits.first());
-    edit.map_or(0.0, |e| e.starts_at_s) + (time - edit.map_or(0, |e| e.media_from)) as f64 / timescale
+    edit.map_or(0.0, |e| e.starts_at_s)
+        + time.saturating_sub(edit.map_or(0, |e| e.media_from)) as f64 / timescale
 }
 
 struct Index {
@@ -191,4 +202,15 @@ fn read_index(file: &mut BufReader<File>, length: u64, warnings: &mut Vec<String
 
 fn unreadable(error: std::io::Error) -> Error {
     Error::input(format!("cannot be read: {error}"))
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_hidden_sample_may_be_far_from_every_edit() {
+        let edit = Edit { starts_at_s: 0.0, media_from: i64::MAX, media_to: i64::MAX };
+        assert!(hidden_time_of(&[edit], 90.0, -10_000_000_000).is_finite());
+    }
 }
