@@ -15,8 +15,8 @@ static ASKED: AtomicBool = AtomicBool::new(false);
 /// and then its process group.
 const SAME_REQUEST: Duration = Duration::from_millis(300);
 
-/// A person is told after this time how to end a program that is still busy, or that waits for a
-/// source which gives nothing.
+/// If the program is still busy after this time, or waits for a source that gives nothing, a note
+/// on the terminal says how to end it at once.
 const PATIENCE: Duration = Duration::from_secs(3);
 
 /// Installs the handler. Without one, an interrupt ends the program as usual.

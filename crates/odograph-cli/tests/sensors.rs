@@ -57,6 +57,28 @@ fn worst_m(estimate: &Trajectory, truth: &Trajectory, when: impl Fn(f64) -> bool
 }
 
 #[test]
+fn the_path_does_not_jump_after_a_gap() {
+    let place = tempfile::tempdir().unwrap();
+    let here = place.path();
+    done(here, "simulate -o sim --path eight --fps 10 --blackout 5:7 --seed 1 --quiet");
+    run(here, "-o out --quiet");
+    let truth = trajectory(&here.join("sim/truth.tum"));
+    let found = trajectory(&here.join("out/trajectory.tum"));
+    let position = |poses: &Trajectory, time_s: f64| {
+        let pose = poses.poses.iter().find(|pose| (pose.time_s - time_s).abs() < 1e-6).unwrap();
+        pose.world_from_camera.translation.vector
+    };
+    for pair in found.poses.windows(2).filter(|pair| pair[1].time_s - pair[0].time_s < 0.15) {
+        let [before_s, time_s] = [pair[0].time_s, pair[1].time_s];
+        let [step, true_step] =
+            [&found, &truth].map(|poses| (position(poses, time_s) - position(poses, before_s)).norm());
+        // The truth moves by 50 mm a frame, and is followed to 0.05 mm.
+        assert!((step - true_step).abs() < 0.001, "{step} m instead of {true_step} m at {time_s} s");
+    }
+    assert!(found.poses.last().unwrap().time_s > 24.0);
+}
+
+#[test]
 fn two_dark_seconds_are_bridged_and_the_run_is_deterministic() {
     let place = tempfile::tempdir().unwrap();
     let here = place.path();

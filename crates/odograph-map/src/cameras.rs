@@ -2,7 +2,7 @@
 //! of several cameras have, those of sessions that were made with others.
 
 use crate::complaint::{Complaint, WithContext};
-use crate::row_order::RowOrder;
+use crate::row_order::in_order;
 use crate::{lever_arm, schema};
 use odograph::camera::{Camera, Distortion, LeverArm, Rig};
 use odograph::error::Result;
@@ -113,10 +113,9 @@ pub(crate) fn read_of_sessions(
         )
         .while_reading(complaint)?;
     let mut rows = statement.query([]).while_reading(complaint)?;
-    let (mut cameras, mut order) = (BTreeMap::new(), RowOrder::default());
+    let (mut cameras, mut next) = (BTreeMap::new(), in_order(read_row));
     while let Some(row) = rows.next().while_reading(complaint)? {
-        row.get(0).and_then(|session| order.check(session)).while_reading(complaint)?;
-        let (session, stored, rig) = read_row(row).while_reading(complaint)?;
+        let (session, stored, rig) = next(row).while_reading(complaint)?;
         let mounted = MountedCamera { camera: stored.camera(complaint)?, rig: checked(rig, complaint)? };
         cameras.insert(session, mounted);
     }

@@ -3,7 +3,7 @@
 use crate::complaint::WithContext;
 use crate::file::MapFile;
 use crate::numbers::{bytes_from_symmetric, symmetric_from_bytes};
-use crate::row_order::RowOrder;
+use crate::row_order::in_order;
 use nalgebra::Vector4;
 use odograph::error::Result;
 use odograph::keyframe::{EdgeKind, KeyframeId, MapEdge};
@@ -26,10 +26,9 @@ impl MapFile {
         );
         let mut statement = self.connection.prepare(&sql).while_reading(&self.complaint)?;
         let mut rows = statement.query([]).while_reading(&self.complaint)?;
-        let (mut edges, mut order) = (Vec::new(), RowOrder::default());
+        let (mut edges, mut next) = (Vec::new(), in_order(StoredEdge::read));
         while let Some(row) = rows.next().while_reading(&self.complaint)? {
-            let stored = StoredEdge::read(row).while_reading(&self.complaint)?;
-            order.check(stored.number).while_reading(&self.complaint)?;
+            let stored = next(row).while_reading(&self.complaint)?;
             let tied: bool = row.get(9).while_reading(&self.complaint)?;
             let edge = if tied { stored.edge() } else { Err("does not connect two keyframes of the map") };
             edges.push(edge.map_err(|what| {

@@ -3,7 +3,7 @@
 use crate::claim::{self, MapClaim};
 use crate::complaint::{Complaint, WithContext};
 use crate::origin::{self, SessionOrigin};
-use crate::row_order::RowOrder;
+use crate::row_order::in_order;
 use crate::thinning::{Thinning, thinning};
 use crate::{cameras, schema};
 use odograph::camera::{Camera, Rig};
@@ -325,12 +325,8 @@ impl MapFile {
             .connection
             .prepare("SELECT id, source FROM odograph_session ORDER BY id")
             .while_reading(&self.complaint)?;
-        let mut order = RowOrder::default();
         let rows = statement
-            .query_map([], |row| {
-                order.check(row.get(0)?)?;
-                Ok((row.get(0)?, row.get(1)?))
-            })
+            .query_map([], in_order(|row| Ok((row.get(0)?, row.get(1)?))))
             .while_reading(&self.complaint)?;
         rows.map(|row| {
             let (id, source): (u32, String) = row.while_reading(&self.complaint)?;

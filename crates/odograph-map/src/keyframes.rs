@@ -9,7 +9,7 @@ use crate::numbers::{bytes_from_symmetric, symmetric_from_bytes};
 use crate::origin;
 use crate::paths::{self, KeyframeMove, PathFrame, corrected_path};
 use crate::pose_columns::pose_from;
-use crate::row_order::RowOrder;
+use crate::row_order::in_order;
 use nalgebra::Matrix6;
 use odograph::error::Result;
 use odograph::geometry::GroundPose;
@@ -171,9 +171,7 @@ impl MapFile {
                 "SELECT id, session, segment, time_s, x_m, y_m, heading_rad, height_m, roll_rad, pitch_rad FROM keyframes ORDER BY id",
             )
             .while_reading(&self.complaint)?;
-        let mut order = RowOrder::default();
         let place = |row: &Row<'_>| {
-            order.check(row.get(0)?)?;
             let (segment, time_s, before) = (row.get(2)?, row.get(3)?, pose_from(row, 4)?);
             Ok((
                 KeyframeId(row.get(0)?),
@@ -181,7 +179,7 @@ impl MapFile {
                 KeyframeMove { segment, time_s, before, after: before },
             ))
         };
-        let rows = statement.query_map([], place).while_reading(&self.complaint)?;
+        let rows = statement.query_map([], in_order(place)).while_reading(&self.complaint)?;
         rows.collect::<rusqlite::Result<_>>().while_reading(&self.complaint)
     }
 
@@ -217,10 +215,9 @@ impl MapFile {
         );
         let mut statement = self.connection.prepare(&sql).while_reading(&self.complaint)?;
         let mut rows = statement.query([]).while_reading(&self.complaint)?;
-        let (mut keyframes, mut order) = (Vec::new(), RowOrder::default());
+        let (mut keyframes, mut next) = (Vec::new(), in_order(read));
         while let Some(row) = rows.next().while_reading(&self.complaint)? {
-            let in_order = row.get(0).and_then(|id| order.check(id)).and_then(|()| read(row));
-            let (keyframe, covariance, signature) = in_order.while_reading(&self.complaint)?;
+            let (keyframe, covariance, signature) = next(row).while_reading(&self.complaint)?;
             let bad = |what: &str| self.complaint.damage(format!("keyframe {} has {what}", keyframe.id.0));
             if ![keyframe.pose, keyframe.odometry_pose].iter().all(is_pose) {
                 return Err(bad("a pose that no camera can have"));
@@ -240,13 +237,8 @@ impl MapFile {
             .connection
             .prepare("SELECT keyframe, length(jpeg) FROM odograph_image ORDER BY keyframe")
             .while_reading(&self.complaint)?;
-        let mut order = RowOrder::default();
-        let sizes = statement
-            .query_map([], |row| {
-                order.check(row.get(0)?)?;
-                row.get::<_, u64>(1)
-            })
-            .while_reading(&self.complaint)?;
+        let sizes =
+            statement.query_map([], in_order(|row| row.get::<_, u64>(1))).while_reading(&self.complaint)?;
         sizes
             .map(|size| size.while_reading(&self.complaint))
             .try_fold((0, 0), |(count, bytes), size| Ok((count + 1, bytes + size?)))

@@ -5,11 +5,11 @@
 //! which only maps with a named robot have.
 
 use crate::complaint::{Complaint, WithContext};
-use crate::row_order::RowOrder;
+use crate::row_order::in_order;
 use crate::schema;
 use odograph::error::{Error, Result};
 use odograph::keyframe::KeyframeId;
-use rusqlite::{Connection, OptionalExtension, params};
+use rusqlite::{Connection, OptionalExtension, Row, params};
 use std::collections::BTreeMap;
 
 const SESSIONS: &str = "CREATE TABLE odograph_session_origin (session INTEGER PRIMARY KEY NOT NULL, robot TEXT NOT NULL, key TEXT NOT NULL)";
@@ -96,13 +96,8 @@ pub(crate) fn read(connection: &Connection, complaint: &Complaint) -> Result<BTr
     let mut statement = connection
         .prepare("SELECT session, robot, key FROM odograph_session_origin ORDER BY session")
         .while_reading(complaint)?;
-    let mut order = RowOrder::default();
-    let rows = statement
-        .query_map([], |row| {
-            order.check(row.get(0)?)?;
-            Ok((row.get(0)?, SessionOrigin { robot: row.get(1)?, key: row.get(2)? }))
-        })
-        .while_reading(complaint)?;
+    let origin = |row: &Row<'_>| Ok((row.get(0)?, SessionOrigin { robot: row.get(1)?, key: row.get(2)? }));
+    let rows = statement.query_map([], in_order(origin)).while_reading(complaint)?;
     rows.map(|row| {
         let (session, origin): (u32, SessionOrigin) = row.while_reading(complaint)?;
         Ok((session, origin.validated().map_err(|error| complaint.input(error))?))

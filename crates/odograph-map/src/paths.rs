@@ -4,7 +4,7 @@ use crate::complaint::WithContext;
 use crate::file::MapFile;
 use crate::geopackage::{self, Extent, line_geometry};
 use crate::pose_columns::pose_from;
-use crate::row_order::RowOrder;
+use crate::row_order::in_order;
 use odograph::error::Result;
 use odograph::geometry::GroundPose;
 use rusqlite::{CachedStatement, Connection, Row, params};
@@ -47,13 +47,7 @@ impl MapFile {
     pub fn path_of(&self, session: u32) -> Result<Vec<PathFrame>> {
         let sql = format!("SELECT {COLUMNS} FROM odograph_frame WHERE session = ?1 ORDER BY frame");
         let mut statement = self.connection.prepare(&sql).while_reading(&self.complaint)?;
-        let mut order = RowOrder::default();
-        let rows = statement
-            .query_map([session], |row| {
-                order.check(row.get(0)?)?;
-                frame_from(row)
-            })
-            .while_reading(&self.complaint)?;
+        let rows = statement.query_map([session], in_order(frame_from)).while_reading(&self.complaint)?;
         rows.collect::<rusqlite::Result<_>>().while_reading(&self.complaint)
     }
 }

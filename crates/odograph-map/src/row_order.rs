@@ -3,7 +3,7 @@
 //! In a damaged or malicious file pages may refer to the same pages again, so that a table of a few
 //! kilobytes has more rows than anyone can read. Their keys are not in order then.
 
-use rusqlite::{Error, Result, ffi};
+use rusqlite::{Error, Result, Row, ffi};
 
 /// Checks that the keys of rows ascend, or with `descending` descend.
 #[derive(Debug, Default)]
@@ -29,6 +29,15 @@ impl RowOrder {
             ffi::Error::new(ffi::SQLITE_CORRUPT),
             Some("its rows are not in order".to_owned()),
         ))
+    }
+}
+
+/// Reads rows whose first column is their key, and fails if the keys do not ascend.
+pub(crate) fn in_order<T>(mut read: impl FnMut(&Row<'_>) -> Result<T>) -> impl FnMut(&Row<'_>) -> Result<T> {
+    let mut order = RowOrder::default();
+    move |row| {
+        order.check(row.get(0)?)?;
+        read(row)
     }
 }
 

@@ -231,8 +231,9 @@ pub fn refine(
         return None;
     }
     let mut by_keyframe = pose_changes(&given_keyframe, &slopes, &unknowns);
-    // Where the keyframe stands changes neither height nor tilt. Left to rounding, the doubt of a
-    // metre after a gap would reach the tilt, and return as a jump of the path.
+    // Position and heading of the keyframe change neither height nor tilt of the frame: zero by
+    // symmetry, and up to 1e-4 as linearised. With a position uncertain by a metre, as after a gap,
+    // the path would jump as soon as the tilt is known better.
     by_keyframe.fixed_view_mut::<3, 3>(3, 0).fill(0.0);
     Some(MotionEstimate {
         pose,

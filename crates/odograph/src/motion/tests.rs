@@ -165,7 +165,7 @@ fn the_derivative_by_the_keyframe_pose_is_right() {
         let prior =
             RigPrior { mean: [1.0, 0.0, 0.0], sigma: [0.1; 3], mount_share: [1.0; 3], shared_fraction: 0.0 };
         let found = measured(&seen, &to, &prior, &config, 1).unwrap();
-        // Moving and turning the whole ground leaves height and tilt, exactly.
+        // A shift or a turn of all the ground changes neither height nor tilt, exactly.
         assert_eq!(found.by_keyframe.fixed_view::<3, 3>(3, 0), Matrix3::zeros());
         for number in 0..6 {
             let mut off = numbers(&from);
