@@ -220,7 +220,8 @@ fn real_files_are_read() {
 }
 
 prop_compose! {
-    fn cameras()(width in 1usize..5000, height in 1usize..5000, fx in 1.0..1e4f64, fy in 1.0..1e4f64,
+    // Focal lengths in the longer sides of the image, within what `Camera::new` takes.
+    fn cameras()(width in 1usize..5000, height in 1usize..5000, fx in 2e-3..500.0f64, fy in 2e-3..500.0f64,
                  u in -0.5..1.5f64, v in -0.5..1.5f64, k in prop::array::uniform8(-1.0..1.0f64), kind in 0..4) -> Camera {
         let distortion = match kind {
             0 => Distortion::None,
@@ -228,7 +229,9 @@ prop_compose! {
             2 => Distortion::from_opencv(&k).unwrap(),
             _ => Distortion::KannalaBrandt { k1: k[0], k2: k[1], k3: k[2] * 1e-7, k4: k[3] },
         };
-        Camera::new((width, height), (fx, fy), (u * width as f64, v * height as f64), distortion).unwrap()
+        let longer = width.max(height) as f64;
+        let principal_px = (u * width as f64, v * height as f64);
+        Camera::new((width, height), (fx * longer, fy * longer), principal_px, distortion).unwrap()
     }
 }
 
