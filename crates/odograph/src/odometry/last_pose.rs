@@ -103,6 +103,12 @@ impl LastPose {
         self.predicted(time_s, MODELS[best])
     }
 
+    /// The pose at `time_s` by each model, and where the camera stands still.
+    pub fn predictions(&self, time_s: f64) -> [GroundPose; MODELS.len() + 1] {
+        let [level, accelerated, free] = MODELS.map(|model| self.predicted(time_s, model));
+        [level, accelerated, free, self.pose]
+    }
+
     /// Recent extrapolation error, seen from the camera: lengths over the height, and radians.
     pub fn off_by(&self) -> f64 {
         self.off_by.iter().copied().fold(f64::INFINITY, f64::min)

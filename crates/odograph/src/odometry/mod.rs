@@ -18,6 +18,7 @@ pub(crate) mod learned;
 mod limits;
 mod loss;
 mod moving_ground;
+mod pose_hypotheses;
 mod recalibration;
 mod recovery;
 mod repeated;
@@ -33,7 +34,7 @@ use crate::filter::ConstantAcceleration;
 use crate::fixed_pattern::{FixedPattern, ImageMask, SinceLast};
 use crate::geometry::{GroundPose, Pixel};
 use crate::image::{GrayImage, Interlacing, Pyramid, even_field};
-use crate::motion::{MotionEstimate, MotionModel, PoseRates, Random, Readout};
+use crate::motion::{MotionEstimate, MotionModel, PoseRates, Readout};
 use crate::trajectory::{FrameEstimate, LossReason, PlaneMeasurement, PoseEstimate, TrackStatus};
 use candidate::SegmentCandidate;
 pub use config::{KeyframeConfig, OdometryConfig};
@@ -100,10 +101,6 @@ pub struct Odometry {
     events: Option<Vec<KeyframeEvent>>,
     reference: Option<FrameReference>,
 }
-
-/// Fraction of the expected inliers from which the rest is taken to be out of view, so that a
-/// second search would find nothing.
-const NEARLY_ALL: f64 = 0.95;
 
 /// Of a mask that covers more than this, no ground is left to follow.
 const MOST_MASKED: f64 = 0.95;
@@ -307,74 +304,6 @@ impl Odometry {
             near => self.recover(pyramid, time_s, near),
         };
         measured.map(|measurement| self.confirm(pyramid, measurement))
-    }
-
-    /// The pose of a frame near where it is expected, tried from several predictions.
-    fn measure_near(&self, pyramid: &Pyramid, time_s: f64) -> std::result::Result<Measurement, LossReason> {
-        let (Some(keyframe), Some(last)) = (&self.keyframe, &self.last) else {
-            return Err(LossReason::Bare);
-        };
-        let mut random = Random::new(self.frames);
-        let mut outcome = Err(LossReason::Jump);
-        // The mean vector is measured from the last frame; other models start from the predicted
-        // pose.
-        let extrapolated = match self.config.motion.model {
-            MotionModel::Mean => last.pose,
-            _ => self.beside_keyframe(&last.extrapolated(time_s)),
-        };
-        let still = self.beside_keyframe(&last.pose);
-        let (camera, config, learned) = (&self.camera, &self.config, &self.learned);
-        let predictions = [&extrapolated, &still];
-        if let Some(whole) =
-            tracking::measure_drowned(keyframe, pyramid, camera, predictions, config, learned)
-        {
-            return Ok(whole);
-        }
-        if let Some(off_px) = self.prediction_off_px(last, time_s) {
-            let mut random = Random::new(self.frames);
-            let near = tracking::measure_near(
-                keyframe,
-                pyramid,
-                camera,
-                &extrapolated,
-                off_px,
-                config,
-                learned,
-                &mut random,
-            );
-            // What others will be built on is searched in full, unless that could not find more.
-            let found_enough = |near: &Measurement| {
-                near.refined
-                    || near.support >= self.enough_support()
-                    || near.inlier_ratio(keyframe, camera) >= NEARLY_ALL * learned.usual_inlier_ratio()
-            };
-            if near.as_ref().is_ok_and(found_enough) {
-                return near;
-            }
-        }
-        for prediction in predictions {
-            outcome = tracking::measure(keyframe, pyramid, camera, prediction, config, learned, &mut random);
-            if outcome.is_ok() {
-                break;
-            }
-        }
-        outcome
-    }
-
-    /// The pose as the keyframe would have it at the height and tilt that it was taken for: where
-    /// to look for what it shows.
-    fn beside_keyframe(&self, pose: &GroundPose) -> GroundPose {
-        GroundPose::from_vector(&(pose.to_vector() - self.keyframe_off))
-    }
-
-    /// Expected error of the extrapolated pose in the image; `None` if unknown or so large that the
-    /// search covers everything anyway.
-    fn prediction_off_px(&self, last: &LastPose, time_s: f64) -> Option<f64> {
-        const FULL_SEARCH_PX: f64 = 4.0;
-        let usual_step = time_s - last.time_s <= 1.5 * last.step_s;
-        let off_px = 0.5 + 2.0 * last.off_by() * self.camera.focal_px().0;
-        (self.config.motion.model != MotionModel::Mean && usual_step && off_px < FULL_SEARCH_PX)
-            .then_some(off_px)
     }
 
     /// A measured frame: its pose improved by the filter, and perhaps the next keyframe.

@@ -33,7 +33,7 @@ impl TextureClass {
         let are = |enough: usize, strength: f64| {
             corners.iter().filter(|c| f64::from(c.strength) >= strength).count() >= enough
         };
-        if !are(ENOUGH_CORNERS, FAINT_STRENGTH) {
+        if !are(ENOUGH_CORNERS, FAINT_STRENGTH) && !are(ENOUGH_OF_A_PATTERN, STRONG) {
             return Self::Faint;
         }
         let noise = noise_variance(pyramid.base());
@@ -52,6 +52,10 @@ const ENOUGH_OF_A_PATTERN: usize = 4;
 /// Corner strength, (gray levels per pixel)², two levels up: sensor noise of 5 gray levels leaves
 /// about 0.03 there, texture of half a gray level 0.1.
 const FAINT_STRENGTH: f64 = 0.25;
+
+/// The strength of corners of which a few are enough, in the same unit: an edge of 10 gray levels
+/// gives a crossing about this much.
+const STRONG: f64 = 5.0;
 
 /// Least strength of usable corners, in units of the noise variance; those of noise alone have
 /// 0.01. (Rendered concrete stays below from 8 gray levels of noise on, at 320x240 from 4; bricks,

@@ -1,0 +1,125 @@
+//! Where a frame is looked for: near the predicted pose, then widely about it. Where few corners
+//! agree with what that found, near the other poses that the motion so far predicts.
+
+use super::Odometry;
+use super::keyframe::Keyframe;
+use super::last_pose::{LastPose, seen_apart};
+use super::tracking::{self, Measurement};
+use crate::geometry::GroundPose;
+use crate::image::Pyramid;
+use crate::motion::{MotionModel, Random};
+use crate::trajectory::LossReason;
+
+/// Fraction of the expected inliers from which the rest is taken to be out of view, so that a
+/// second search would find nothing.
+const NEARLY_ALL: f64 = 0.95;
+
+/// A prediction that is off by more than this in the image, pixels, is searched for widely.
+const FULL_SEARCH_PX: f64 = 4.0;
+
+/// Reach of the search near the other predictions, pixels; what is within it is the same place.
+/// Less than the period of any pattern whose corners can be tracked.
+const NEAR_PX: f64 = 6.0;
+
+type Measured = Result<Measurement, LossReason>;
+
+impl Odometry {
+    /// The pose of a frame near where it is expected, tried from several predictions.
+    pub(super) fn measure_near(&self, pyramid: &Pyramid, time_s: f64) -> Measured {
+        let (Some(keyframe), Some(last)) = (&self.keyframe, &self.last) else {
+            return Err(LossReason::Bare);
+        };
+        // The mean vector is measured from the last frame; other models start from the predicted
+        // pose.
+        let extrapolated = match self.config.motion.model {
+            MotionModel::Mean => last.pose,
+            _ => self.beside_keyframe(&last.extrapolated(time_s)),
+        };
+        let predictions = [&extrapolated, &self.beside_keyframe(&last.pose)];
+        let (camera, config, learned) = (&self.camera, &self.config, &self.learned);
+        if let Some(whole) =
+            tracking::measure_drowned(keyframe, pyramid, camera, predictions, config, learned)
+        {
+            return Ok(whole);
+        }
+        if let Some(off_px) = self.prediction_off_px(last, time_s) {
+            let near = self.measure_within(keyframe, pyramid, &extrapolated, off_px);
+            // What others will be built on is searched in full, unless that could not find more.
+            let found_enough = |near: &Measurement| {
+                near.refined || near.support >= self.enough_support() || self.nearly_all_agree(keyframe, near)
+            };
+            if near.as_ref().is_ok_and(found_enough) {
+                return near;
+            }
+        }
+        let mut random = Random::new(self.frames);
+        let mut wide = Err(LossReason::Jump);
+        for prediction in predictions {
+            wide = tracking::measure(keyframe, pyramid, camera, prediction, config, learned, &mut random);
+            if wide.is_ok() {
+                break;
+            }
+        }
+        self.or_elsewhere(wide, pyramid, last, time_s)
+    }
+
+    /// What a wide search found or, if fewer corners than usual agree with that and more with a
+    /// place near another prediction, that place: on a repeating pattern a wide search may end a
+    /// period off.
+    fn or_elsewhere(&self, wide: Measured, pyramid: &Pyramid, last: &LastPose, time_s: f64) -> Measured {
+        let Some(keyframe) = &self.keyframe else { return wide };
+        let found = wide.as_ref().ok();
+        if self.config.motion.model == MotionModel::Mean
+            || found.is_some_and(|found| self.nearly_all_agree(keyframe, found))
+        {
+            return wide;
+        }
+        let apart_px = |a: &GroundPose, b: &GroundPose| seen_apart(a, b) * self.camera.focal_px().0;
+        let is_elsewhere =
+            |pose: &GroundPose| found.is_none_or(|found| apart_px(pose, &found.estimate.pose) > NEAR_PX);
+        let elsewhere = last
+            .predictions(time_s)
+            .iter()
+            .map(|prediction| self.beside_keyframe(prediction))
+            .filter(is_elsewhere)
+            .filter_map(|prediction| self.measure_within(keyframe, pyramid, &prediction, NEAR_PX).ok())
+            .filter(|near| is_elsewhere(&near.estimate.pose))
+            .max_by(|a, b| a.support.total_cmp(&b.support));
+        match elsewhere {
+            Some(near) if found.is_none_or(|found| near.support > found.support) => Ok(near),
+            _ => wide,
+        }
+    }
+
+    /// The pose of a frame if a prediction is off by at most `off_px` in the image.
+    fn measure_within(
+        &self,
+        keyframe: &Keyframe,
+        pyramid: &Pyramid,
+        prediction: &GroundPose,
+        off_px: f64,
+    ) -> Measured {
+        let (camera, config, learned) = (&self.camera, &self.config, &self.learned);
+        let random = &mut Random::new(self.frames);
+        tracking::measure_near(keyframe, pyramid, camera, prediction, off_px, config, learned, random)
+    }
+
+    fn nearly_all_agree(&self, keyframe: &Keyframe, found: &Measurement) -> bool {
+        found.inlier_ratio(keyframe, &self.camera) >= NEARLY_ALL * self.learned.usual_inlier_ratio()
+    }
+
+    /// The pose as the keyframe would have it at the height and tilt that it was taken for: where
+    /// to look for what it shows.
+    fn beside_keyframe(&self, pose: &GroundPose) -> GroundPose {
+        GroundPose::from_vector(&(pose.to_vector() - self.keyframe_off))
+    }
+
+    /// Expected error of the extrapolated pose in the image; `None` if unknown or so large that the
+    /// search covers everything anyway.
+    fn prediction_off_px(&self, last: &LastPose, time_s: f64) -> Option<f64> {
+        let usual_step = time_s - last.time_s <= 1.5 * last.step_s;
+        let off_px = 0.5 + 2.0 * last.off_by() * self.camera.focal_px().0;
+        (self.config.motion.model != MotionModel::Mean && usual_step && off_px < FULL_SEARCH_PX)
+            .then_some(off_px)
+    }
+}
