@@ -161,7 +161,7 @@ fn starts_group(units: &[&[u8]]) -> bool {
 /// `rusty_h264`: decodes an access unit to a picture.
 struct Fast {
     set_up: SetUp,
-    decoder: rusty_h264::Decoder,
+    decoder: rusty_h264_decoder::Decoder,
     /// The access unit in Annex B format.
     annex_b: Vec<u8>,
     starts_group: bool,
@@ -170,7 +170,7 @@ struct Fast {
 impl Fast {
     fn new(set_up: SetUp) -> Result<Self> {
         let mut decoder =
-            Self { decoder: rusty_h264::Decoder::new(), annex_b: Vec::new(), starts_group: false, set_up };
+            Self { decoder: rusty_h264_decoder::Decoder::new(), annex_b: Vec::new(), starts_group: false, set_up };
         for unit in &decoder.set_up.parameter_sets {
             decoder.annex_b.extend_from_slice(&[0, 0, 1]);
             decoder.annex_b.extend_from_slice(unit);
