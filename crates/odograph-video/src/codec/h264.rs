@@ -169,8 +169,12 @@ struct Fast {
 
 impl Fast {
     fn new(set_up: SetUp) -> Result<Self> {
-        let mut decoder =
-            Self { decoder: rusty_h264_decoder::Decoder::new(), annex_b: Vec::new(), starts_group: false, set_up };
+        let mut decoder = Self {
+            decoder: rusty_h264_decoder::Decoder::new(),
+            annex_b: Vec::new(),
+            starts_group: false,
+            set_up,
+        };
         for unit in &decoder.set_up.parameter_sets {
             decoder.annex_b.extend_from_slice(&[0, 0, 1]);
             decoder.annex_b.extend_from_slice(unit);
