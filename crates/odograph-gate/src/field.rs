@@ -38,6 +38,8 @@ pub fn rows() -> Vec<BenchmarkRow> {
     let straight = |name, effects| BenchmarkRow { path: ahead, ..with(name, effects) };
     let figure = |name, effects| BenchmarkRow { path: eight, ..with(name, effects) };
     let altered = |name, alteration| BenchmarkRow { alteration: Some(alteration), ..with(name, noise()) };
+    let concrete_altered =
+        |name, alteration| BenchmarkRow { texture: "concrete", ..altered(name, alteration) };
     vec![
         BenchmarkRow { speed_m_s: 0.5, ..straight("roll10", rolling(0.010)) },
         BenchmarkRow { speed_m_s: 0.5, ..straight("roll30", rolling(0.030)) },
@@ -69,5 +71,25 @@ pub fn rows() -> Vec<BenchmarkRow> {
         altered("rain", Alteration::Rain { streaks: 400 }),
         altered("interlaced", Alteration::Interlaced),
         altered("upscaled", Alteration::Upscaled),
+        altered("caustics", Alteration::Caustics { amount: 0.3 }),
+        altered("drops", Alteration::Drops { count: 12 }),
+        altered("snow", Alteration::Snow { flakes: 200 }),
+        altered("wheel", Alteration::Wheel { radius_px: 180.0 }),
+        concrete_altered("wheel-concrete", Alteration::Wheel { radius_px: 180.0 }),
+        altered("reflection", Alteration::Reflection { amount: 0.4 }),
+        concrete_altered("reflection-concrete", Alteration::Reflection { amount: 0.3 }),
+        altered("swinging", Alteration::Swinging),
+        concrete_altered("swinging-concrete", Alteration::Swinging),
+        altered("thermal", Alteration::Thermal { gray: 6.0 }),
+        concrete_altered("thermal-concrete", Alteration::Thermal { gray: 3.0 }),
+        altered("torn", Alteration::Torn),
+        altered("lost-blocks", Alteration::LostBlocks { share: 0.2 }),
+        altered("blocky", Alteration::Blocky { quantum: 16.0 }),
+        concrete_altered("blocky-concrete", Alteration::Blocky { quantum: 10.0 }),
+        altered("tone-mapped", Alteration::ToneMapped),
+        altered("clipped", Alteration::Clipped { at: 0.5 }),
+        altered("posterized", Alteration::Posterized { levels: 8 }),
+        altered("swapped", Alteration::Swapped { every: 10 }),
+        concrete_altered("caustics-concrete", Alteration::Caustics { amount: 0.2 }),
     ]
 }

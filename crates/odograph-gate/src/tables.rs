@@ -169,6 +169,8 @@ fn table(name: &str, baseline: &Baseline) -> Result<String> {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::rows::BenchmarkRow;
+    use crate::{field, recordings, rows};
 
     #[test]
     fn documents_contain_the_tables_of_the_baseline() {
@@ -179,6 +181,27 @@ mod tests {
             assert!(text.contains("<!-- gate:begin "), "{document} has no generated table");
             let wanted = with_tables(&text, &baseline).unwrap();
             assert!(text == wanted, "{document}: run `cargo run --release -p odograph-gate -- --tables`");
+        }
+    }
+
+    #[test]
+    fn rows_with_stored_results_can_be_measured() {
+        let root = Path::new(env!("CARGO_MANIFEST_DIR")).join("../..");
+        let measured = |rows: Vec<BenchmarkRow>| -> Vec<&str> { rows.iter().map(|row| row.name).collect() };
+        let recorded = recordings::all();
+        let in_gate: Vec<&str> = measured(rows::rows())
+            .into_iter()
+            .chain(recorded.iter().map(|recording| recording.name))
+            .collect();
+        for (file, known) in [("bench/baseline.json", in_gate), ("bench/field.json", measured(field::rows()))]
+        {
+            for row in Baseline::read_or_empty(&root.join(file)).unwrap().rows {
+                assert!(
+                    known.contains(&row.name.as_str()),
+                    "{file} has `{}`, which the gate has not",
+                    row.name
+                );
+            }
         }
     }
 }

@@ -10,6 +10,7 @@ use crate::simulation::{
 mod lossy;
 mod moving;
 mod relief;
+mod repeating;
 mod rolling;
 
 const HEIGHT_M: f64 = 0.75;

@@ -3,6 +3,9 @@
 //! None of these is modelled by the odometry: they show how it fares with effects that it was not
 //! designed for.
 
+mod light;
+mod transmission;
+
 use crate::clip::Clip;
 use odograph::image::GrayImage;
 use std::f64::consts::TAU;
@@ -41,6 +44,67 @@ pub enum Alteration {
     Interlaced,
     /// Two images are one: a camera that resizes its images up by two.
     Upscaled,
+    /// Light through water or moving leaves.
+    Caustics {
+        /// Relative amplitude.
+        amount: f64,
+    },
+    /// Drops of water on the lens.
+    Drops {
+        /// How many.
+        count: usize,
+    },
+    /// Snow or dust near the lens.
+    Snow {
+        /// How many in each image.
+        flakes: usize,
+    },
+    /// A wheel of the robot in the image that turns as it drives.
+    Wheel {
+        /// Its radius.
+        radius_px: f64,
+    },
+    /// Lamps and beams mirrored in a glossy floor.
+    Reflection {
+        /// How bright, as a fraction of white.
+        amount: f64,
+    },
+    /// Ropes that swing before the camera.
+    Swinging,
+    /// Little contrast below a fixed pattern, as in thermal cameras.
+    Thermal {
+        /// Standard deviation of the pattern.
+        gray: f64,
+    },
+    /// Below a line, the image before.
+    Torn,
+    /// Blocks that stay as they were two images before.
+    LostBlocks {
+        /// Share of all blocks.
+        share: f64,
+    },
+    /// Motion-JPEG of low quality.
+    Blocky {
+        /// Quantisation step of the lowest frequency, gray levels.
+        quantum: f64,
+    },
+    /// Each pixel over the mean of its surroundings.
+    ToneMapped,
+    /// Overexposed: what is brighter than a fraction of white is white.
+    Clipped {
+        /// That fraction.
+        at: f64,
+    },
+    /// Few gray levels.
+    Posterized {
+        /// How many.
+        levels: usize,
+    },
+    /// Every n-th image is exchanged with the next.
+    Swapped {
+        /// n.
+        every: usize,
+    },
 }
 
 impl Alteration {
@@ -49,6 +113,17 @@ impl Alteration {
         let originals: Vec<GrayImage> = clip.frames.iter().map(|(_, image)| image.clone()).collect();
         let mut random = RandomStream(seed.wrapping_mul(0x9E37_79B9_7F4A_7C15) | 1);
         let mut kept: Vec<f64> = Vec::new();
+        let track = Track::new(clip);
+        let size = clip.frames.first().map_or((0, 0), |(_, image)| (image.width(), image.height()));
+        let drops: Vec<(f64, f64, f64)> = (0..30)
+            .map(|_| {
+                (
+                    random.below(size.0.max(1)) as f64,
+                    random.below(size.1.max(1)) as f64,
+                    12.0 + random.below(24) as f64,
+                )
+            })
+            .collect();
         for (number, (time_s, image)) in clip.frames.iter_mut().enumerate() {
             let before = originals.get(number.wrapping_sub(1));
             let (width, height) = (image.width(), image.height());
@@ -97,11 +172,76 @@ impl Alteration {
                     }
                 }
                 Self::Upscaled => upscale(image, &mut samples),
+                Self::Caustics { amount } => light::caustics(*time_s, width, amount, &mut samples),
+                Self::Drops { count } => light::drops(image, &drops[..count.min(drops.len())], &mut samples),
+                Self::Snow { flakes } => light::snow(width, flakes, &mut random, &mut samples),
+                Self::Wheel { radius_px } => {
+                    light::wheel(track.way_m[number], width, radius_px, &mut samples)
+                }
+                Self::Reflection { amount } => {
+                    light::reflection(track.shift_px[number], width, amount, &mut samples)
+                }
+                Self::Swinging => light::swinging(*time_s, width, &mut samples),
+                Self::Thermal { gray } => transmission::thermal(width, gray, seed, &mut samples),
+                Self::Torn => {
+                    if let Some(before) = before {
+                        transmission::torn(number, before, &mut samples);
+                    }
+                }
+                Self::LostBlocks { share } => {
+                    if let Some(before) = originals.get(number.wrapping_sub(2)) {
+                        transmission::lost_blocks(before, share, &mut random, &mut samples);
+                    }
+                }
+                Self::Blocky { quantum } => transmission::blocky(width, quantum, &mut samples),
+                Self::ToneMapped => transmission::tone_mapped(image, &mut samples),
+                Self::Clipped { at } => {
+                    samples.iter_mut().for_each(|sample| *sample = (f64::from(*sample) / at).min(255.0) as u8)
+                }
+                Self::Posterized { levels } => {
+                    let step = 256.0 / levels as f64;
+                    samples.iter_mut().for_each(|sample| {
+                        *sample = (step * ((f64::from(*sample) / step).floor() + 0.5)) as u8
+                    });
+                }
+                Self::Swapped { every } => {
+                    let other = match number % every {
+                        n if n + 2 == every => number + 1,
+                        n if n + 1 == every => number - 1,
+                        _ => number,
+                    };
+                    if let Some(other) = originals.get(other) {
+                        samples.copy_from_slice(other.samples());
+                    }
+                }
             }
             if let Some(altered) = GrayImage::from_samples(width, height, samples) {
                 *image = altered;
             }
         }
+    }
+}
+
+/// How the camera went, by the truth of the clip.
+struct Track {
+    /// Length of the path up to each frame, metres.
+    way_m: Vec<f64>,
+    /// Displacement of the image of the ground since the first frame, pixels.
+    shift_px: Vec<(f64, f64)>,
+}
+
+impl Track {
+    fn new(clip: &Clip) -> Self {
+        let px_per_m = clip.camera.focal_px().0 / clip.rig.first_pose().height_m;
+        let (mut way_m, mut shift_px) = (vec![0.0], vec![(0.0, 0.0)]);
+        for pair in clip.truth.poses.windows(2) {
+            let [before, after] = [&pair[0], &pair[1]].map(|pose| &pose.world_from_camera);
+            let step = after.rotation.inverse() * (after.translation.vector - before.translation.vector);
+            let (way, (x, y)) = (way_m[way_m.len() - 1], shift_px[shift_px.len() - 1]);
+            way_m.push(way + step.norm());
+            shift_px.push((x + px_per_m * step.x, y + px_per_m * step.y));
+        }
+        Self { way_m, shift_px }
     }
 }
 
@@ -159,7 +299,7 @@ fn upscale(image: &GrayImage, samples: &mut [u8]) {
 }
 
 /// A stream of random numbers (xorshift; G. Marsaglia, 2003).
-struct RandomStream(u64);
+pub(super) struct RandomStream(u64);
 
 impl RandomStream {
     fn below(&mut self, count: usize) -> usize {

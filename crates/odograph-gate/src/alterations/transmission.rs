@@ -1,0 +1,97 @@
+//! What sensors, encoders and links do to images.
+
+use super::RandomStream;
+use odograph::image::GrayImage;
+use std::f64::consts::PI;
+
+/// A thermal camera: little contrast below a pattern of columns and pixels that is fixed.
+pub fn thermal(width: usize, gray: f64, seed: u64, samples: &mut [u8]) {
+    let mut random = RandomStream(seed.wrapping_mul(77).wrapping_add(13) | 1);
+    let mut spread = || (random.below(2001) as f64 / 1000.0 - 1.0) * 3f64.sqrt() * gray;
+    let columns: Vec<f64> = (0..width).map(|_| spread()).collect();
+    for row in samples.chunks_exact_mut(width) {
+        for (sample, column) in row.iter_mut().zip(&columns) {
+            let faint = 128.0 + 0.4 * (f64::from(*sample) - 128.0);
+            *sample = (faint + 0.7 * column + 0.7 * spread()).round().clamp(0.0, 255.0) as u8;
+        }
+    }
+}
+
+/// Torn images: below a line that wanders, the image before.
+pub fn torn(number: usize, before: &GrayImage, samples: &mut [u8]) {
+    let line = (number * 37) % before.height();
+    let from = line * before.width();
+    samples[from..].copy_from_slice(&before.samples()[from..]);
+}
+
+/// Lost packets: blocks of 16 by 16 pixels stay as they were two images before.
+pub fn lost_blocks(before: &GrayImage, share: f64, random: &mut RandomStream, samples: &mut [u8]) {
+    let width = before.width();
+    for y in (0..before.height()).step_by(16) {
+        for x in (0..width).step_by(16) {
+            if (random.below(1000) as f64) < 1000.0 * share {
+                for v in y..(y + 16).min(before.height()) {
+                    let row = v * width + x..v * width + (x + 16).min(width);
+                    samples[row.clone()].copy_from_slice(&before.samples()[row]);
+                }
+            }
+        }
+    }
+}
+
+/// Motion-JPEG of low quality: the cosine transform of blocks of 8 by 8 pixels, quantised.
+pub fn blocky(width: usize, quantum: f64, samples: &mut [u8]) {
+    let cosine = |k: usize, i: usize| {
+        let norm = if k == 0 { (0.125f64).sqrt() } else { 0.5 };
+        norm * (PI * (i as f64 + 0.5) * k as f64 / 8.0).cos()
+    };
+    let basis: [[f64; 8]; 8] = std::array::from_fn(|k| std::array::from_fn(|i| cosine(k, i)));
+    let height = samples.len() / width;
+    for y in (0..height - 7).step_by(8) {
+        for x in (0..width - 7).step_by(8) {
+            let block: [[f64; 8]; 8] =
+                std::array::from_fn(|i| std::array::from_fn(|k| f64::from(samples[(y + i) * width + x + k])));
+            let mut coarse = [[0.0; 8]; 8];
+            for (u, row) in coarse.iter_mut().enumerate() {
+                for (v, value) in row.iter_mut().enumerate() {
+                    let sum: f64 =
+                        (0..64).map(|n| basis[u][n / 8] * basis[v][n % 8] * block[n / 8][n % 8]).sum();
+                    let step = quantum * (1.0 + 0.5 * (u + v) as f64);
+                    *value = step * (sum / step).round();
+                }
+            }
+            for i in 0..8 {
+                for k in 0..8 {
+                    let sum: f64 =
+                        (0..64).map(|n| basis[n / 8][i] * basis[n % 8][k] * coarse[n / 8][n % 8]).sum();
+                    samples[(y + i) * width + x + k] = sum.round().clamp(0.0, 255.0) as u8;
+                }
+            }
+        }
+    }
+}
+
+/// Local tone mapping: each pixel over the mean of its surroundings.
+pub fn tone_mapped(image: &GrayImage, samples: &mut [u8]) {
+    const REACH: usize = 24;
+    let (width, height) = (image.width(), image.height());
+    let mut sums = vec![0u32; (width + 1) * (height + 1)];
+    for y in 0..height {
+        let mut row = 0;
+        for x in 0..width {
+            row += u32::from(image.samples()[y * width + x]);
+            sums[(y + 1) * (width + 1) + x + 1] = sums[y * (width + 1) + x + 1] + row;
+        }
+    }
+    for y in 0..height {
+        for x in 0..width {
+            let (top, bottom) = (y.saturating_sub(REACH), (y + REACH).min(height));
+            let (left, right) = (x.saturating_sub(REACH), (x + REACH).min(width));
+            let at = |v: usize, u: usize| i64::from(sums[v * (width + 1) + u]);
+            let sum = at(bottom, right) + at(top, left) - at(top, right) - at(bottom, left);
+            let mean = sum as f64 / ((bottom - top) * (right - left)) as f64;
+            let mapped = 128.0 + 2.0 * (f64::from(samples[y * width + x]) - mean);
+            samples[y * width + x] = mapped.round().clamp(0.0, 255.0) as u8;
+        }
+    }
+}
