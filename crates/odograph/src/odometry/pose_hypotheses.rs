@@ -17,9 +17,9 @@ const NEARLY_ALL: f64 = 0.95;
 /// A prediction that is off by more than this in the image, pixels, is searched for widely.
 const FULL_SEARCH_PX: f64 = 4.0;
 
-/// Reach of the search near the other predictions, pixels; what is within it is the same place. On a
-/// pattern with a period of less than twice this, it may end a period off, too. Chosen on a flight
-/// over a checkerboard whose period is 30 pixels or more.
+/// Reach of the search near the other predictions, pixels; what is within it is the same place. On
+/// a pattern with a period of less than twice this, it may end a period off, too. Chosen on a
+/// flight over a checkerboard whose period is 30 pixels or more.
 const NEAR_PX: f64 = 6.0;
 
 type Measured = Result<Measurement, LossReason>;

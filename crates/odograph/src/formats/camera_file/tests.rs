@@ -220,7 +220,7 @@ fn real_files_are_read() {
 }
 
 prop_compose! {
-    // Focal lengths are multiples of the longer side of the image, within what `Camera::new` accepts.
+    // Focal lengths are multiples of the image's longer side that `Camera::new` accepts.
     fn cameras()(width in 1usize..5000, height in 1usize..5000, fx in 2e-3..500.0f64, fy in 2e-3..500.0f64,
                  u in -0.5..1.5f64, v in -0.5..1.5f64, k in prop::array::uniform8(-1.0..1.0f64), kind in 0..4) -> Camera {
         let distortion = match kind {
