@@ -103,9 +103,9 @@ pub fn swinging(time_s: f64, width: usize, samples: &mut [u8]) {
     for (y, row) in samples.chunks_exact_mut(width).enumerate() {
         for bar in 0..3 {
             let middle = width as f64 * (0.25 + 0.25 * bar as f64) + swing * y as f64 / 240.0;
-            for x in (middle - 9.0).max(0.0) as usize..((middle + 9.0).max(0.0) as usize).min(width) {
-                let knot = if (y / 12 + x / 6) % 2 == 0 { 30 } else { 70 };
-                row[x] = knot;
+            let (from, to) = ((middle - 9.0).max(0.0) as usize, (middle + 9.0).max(0.0) as usize);
+            for (x, sample) in row.iter_mut().enumerate().take(to).skip(from) {
+                *sample = if (y / 12 + x / 6) % 2 == 0 { 30 } else { 70 };
             }
         }
     }
