@@ -5,6 +5,7 @@ use crate::processor::busy_ms;
 use crate::rows::Follow;
 use odograph::camera::{Camera, Rig};
 use odograph::error::Result;
+use odograph::fixed_pattern::NonuniformityCorrection;
 use odograph::ground_map::MemoryImages;
 use odograph::loop_closure::LoopClosureConfig;
 use odograph::motion::MotionModel;
@@ -29,6 +30,8 @@ enum Pass {
     Finished(TrackedClip),
     /// The calibration differs from the given one, so the clip is tracked again with the new one.
     Again(Box<CalibrationUpdate>),
+    /// The camera adds a pattern to its images, so the clip is tracked again without it.
+    Corrected(NonuniformityCorrection),
 }
 
 /// Tracks a clip from its first frame to its last.
@@ -38,9 +41,10 @@ pub fn follow(clip: &Clip, follow: Follow, model: MotionModel) -> Result<Tracked
     let watched = follow != Follow::Live && model == MotionModel::Auto;
     let (mut camera, mut rig) = (clip.camera.clone(), clip.rig);
     let mut watch = watched.then(|| CalibrationMonitor::new(&camera, &rig));
+    let mut correction = None;
     let mut restarts = 0;
     loop {
-        match pass(clip, follow, &config, &camera, rig, watch)? {
+        match pass(clip, follow, &config, &camera, rig, watch.clone(), correction.clone())? {
             Pass::Finished(followed) => {
                 return Ok(TrackedClip { restarts: restarts + followed.restarts, ..followed });
             }
@@ -48,6 +52,10 @@ pub fn follow(clip: &Clip, follow: Follow, model: MotionModel) -> Result<Tracked
                 rig = found.rig(&rig);
                 camera = found.camera(&camera);
                 watch = Some(CalibrationMonitor::found(&camera, &rig, &found));
+                restarts += 1;
+            }
+            Pass::Corrected(pattern) => {
+                correction = Some(pattern);
                 restarts += 1;
             }
         }
@@ -61,8 +69,13 @@ fn pass(
     camera: &Camera,
     rig: Rig,
     mut watch: Option<CalibrationMonitor>,
+    correction: Option<NonuniformityCorrection>,
 ) -> Result<Pass> {
+    let pattern_ends_pass = follow != Follow::Live && correction.is_none();
     let mut odometry = Odometry::new(camera.clone(), rig, *config)?;
+    if let Some(correction) = correction {
+        odometry = odometry.with_correction(correction);
+    }
     let mut mapper = (follow == Follow::Mapped).then(|| {
         odometry.record_keyframes();
         (Mapper::new(camera, rig, config, LoopClosureConfig::default()), MemoryImages::default())
@@ -82,6 +95,9 @@ fn pass(
             followed.restarts += 1;
         }
         followed.times_ms.push(busy_ms() - begun);
+        if let Some(pattern) = odometry.correction().filter(|_| pattern_ends_pass) {
+            return Ok(Pass::Corrected(pattern.clone()));
+        }
         if let Some(found) = watch.as_mut().and_then(|watch| watch.watch(&frame, &odometry)) {
             return Ok(Pass::Again(Box::new(found)));
         }

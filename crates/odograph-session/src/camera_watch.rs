@@ -3,6 +3,7 @@
 use crate::found::{FoundLens, FoundMount};
 use crate::observer::Observer;
 use crate::output::MapUse;
+use crate::pipeline::CameraDifference;
 use crate::plan::RunPlan;
 use odograph::camera::{Camera, Rig};
 use odograph::error::Result;
@@ -15,7 +16,8 @@ use odograph_map::MapFile;
 pub struct CameraWatch {
     camera: Camera,
     rig: Rig,
-    /// Whether the recording can be tracked again.
+    /// Whether the recording can be read again, and is tracked again where mount or lens differ.
+    readable_again: bool,
     again: bool,
     /// Whether the lens is a map's.
     lens_is_known: bool,
@@ -34,7 +36,8 @@ impl CameraWatch {
         let readable_again =
             std::fs::metadata(&plan.source.path).is_ok_and(|there| there.is_file() || there.is_dir());
         let (camera, rig) = (plan.camera.clone(), plan.rig);
-        Self { camera, rig, again: chosen && readable_again, lens_is_known: false, found: None }
+        let again = chosen && readable_again;
+        Self { camera, rig, readable_again, again, lens_is_known: false, found: None }
     }
 
     /// The self-calibration for the next pass.
@@ -60,8 +63,20 @@ impl CameraWatch {
         Some(FoundLens::new(&self.camera, lens))
     }
 
-    /// Applies the estimates to the plan.
-    pub fn take(&mut self, found: CalibrationUpdate, plan: &mut RunPlan) {
+    /// Whether a pattern that the camera adds to its images ends the next pass.
+    pub fn watches_pattern(&self, plan: &RunPlan) -> bool {
+        self.readable_again && plan.correction.is_none()
+    }
+
+    /// Applies what was found to the plan.
+    pub fn take(&mut self, found: CameraDifference, plan: &mut RunPlan) {
+        match found {
+            CameraDifference::Calibration(found) => self.calibrate(*found, plan),
+            CameraDifference::FixedPattern(pattern) => plan.correction = Some(pattern),
+        }
+    }
+
+    fn calibrate(&mut self, found: CalibrationUpdate, plan: &mut RunPlan) {
         plan.rig = found.rig(&plan.rig);
         plan.camera = found.camera(&plan.camera);
         self.found = Some(found);
@@ -76,7 +91,7 @@ impl CameraWatch {
         self.lens_is_known = true;
         while let Some(monitor) = self.watch(plan) {
             match look(plan, monitor, observer)? {
-                Some(found) => self.take(found, plan),
+                Some(found) => self.calibrate(found, plan),
                 None => self.again = false,
             }
         }

@@ -1,6 +1,7 @@
 //! Results of self-calibration that differ from the plan, as sentences and for `stats.json`.
 
 use odograph::camera::{Camera, Rig};
+use odograph::fixed_pattern::NonuniformityCorrection;
 use odograph::image::GrayImage;
 use odograph::mounting::{LensMeasurement, TiltMeasurement};
 use odograph::odometry::Odometry;
@@ -11,6 +12,10 @@ use serde::Serialize;
 pub struct FixedInImage {
     /// Fraction of the image, 0 to 1.
     pub share: f64,
+    /// Root mean square of the pattern that was subtracted from every image, gray levels; left out
+    /// where there was none.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub pattern_gray: Option<f64>,
     /// White is ground.
     #[serde(skip)]
     pub picture: GrayImage,
@@ -19,17 +24,27 @@ pub struct FixedInImage {
 impl FixedInImage {
     pub(crate) fn of(odometry: &Odometry) -> Self {
         let fixed = odometry.fixed_in_image();
-        Self { share: fixed.share(), picture: fixed.picture() }
+        let pattern_gray = odometry.correction().map(NonuniformityCorrection::rms_gray);
+        Self { share: fixed.share(), pattern_gray, picture: fixed.picture() }
     }
 
-    /// One line; empty where the fraction is negligible.
+    /// Up to two lines; empty where there is nothing to say.
     pub fn sentence(&self) -> String {
         const WORTH_TELLING: f64 = 0.01;
-        if self.share <= WORTH_TELLING {
-            return String::new();
+        let mut sentence = match self.pattern_gray {
+            Some(gray) => format!(
+                "the camera adds a pattern of {gray:.1} gray levels to every image (dirt on the lens, sensor \
+                 noise); it was estimated and subtracted\n"
+            ),
+            None => String::new(),
+        };
+        if self.share > WORTH_TELLING {
+            let percent = 100.0 * self.share;
+            sentence += &format!(
+                "{percent:.0} % of the image does not move with the ground and is ignored; see mask.png\n"
+            );
         }
-        let percent = 100.0 * self.share;
-        format!("{percent:.0} % of the image does not move with the ground and is ignored; see mask.png\n")
+        sentence
     }
 }
 

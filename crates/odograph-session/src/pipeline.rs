@@ -14,6 +14,7 @@ use crate::timings::Timings;
 use crate::views::{MosaicFrames, Posed};
 use odograph::camera::{Camera, Rig};
 use odograph::error::{Error, Result};
+use odograph::fixed_pattern::NonuniformityCorrection;
 use odograph::mounting::{CalibrationMonitor, CalibrationUpdate};
 use odograph::odometry::{KeyframeEvent, Odometry};
 use odograph::pose_frame::PoseFrame;
@@ -63,8 +64,16 @@ pub struct Tracked {
 pub enum Ended {
     /// At the end of the source.
     Tracked(Box<Tracked>),
-    /// At a frame where self-calibration is certain that the camera differs from the plan.
-    IsAnother(Box<CalibrationUpdate>),
+    /// At a frame where it is certain that the camera differs from the plan.
+    IsAnother(CameraDifference),
+}
+
+/// What a camera was found to be that the plan does not have.
+pub enum CameraDifference {
+    /// Another mount or lens.
+    Calibration(Box<CalibrationUpdate>),
+    /// It adds a pattern to its images.
+    FixedPattern(NonuniformityCorrection),
 }
 
 /// Processing times of each frame per stage.
@@ -96,7 +105,7 @@ pub fn track(
     source: Source,
     folder: &mut OutputFolder,
     output: &RunOutput,
-    self_calibration: Option<CalibrationMonitor>,
+    (self_calibration, watches_pattern): (Option<CalibrationMonitor>, bool),
     observer: &dyn Observer,
 ) -> Result<Ended> {
     let mut odometry = plan.odometry()?;
@@ -105,6 +114,7 @@ pub fn track(
     let views = MosaicFrames::new(&plan.camera, folder.path());
     let mut tracking = Tracking {
         odometry,
+        pattern_may_be_new: watches_pattern,
         of: plan.pose_frame()?,
         frames: KeptFrames::new(folder.path()),
         times: Timings::default(),
@@ -127,9 +137,10 @@ pub fn track(
     let to_the_end = outcome.is_ok() && tracking.found.is_none() && !observer.is_stop_asked();
     let at_end =
         tracking.self_calibration.as_ref().filter(|_| to_the_end).and_then(CalibrationMonitor::at_end);
+    let at_end = at_end.map(|found| CameraDifference::Calibration(Box::new(found)));
     if let Some(found) = tracking.found.or(at_end) {
         ground.mapping.discard()?;
-        return Ok(Ended::IsAnother(Box::new(found)));
+        return Ok(Ended::IsAnother(found));
     }
     let MappingStage { views, mapping, unmapped, times: map_times } = ground;
     // An interrupt after the last frame changes no result.
@@ -258,8 +269,10 @@ struct Tracking<'a> {
     times: Timings,
     calibration_times: Timings,
     self_calibration: Option<CalibrationMonitor>,
-    /// Its result: the pass ends there.
-    found: Option<CalibrationUpdate>,
+    /// Whether a pattern that the camera adds to its images ends the pass.
+    pattern_may_be_new: bool,
+    /// What ends the pass.
+    found: Option<CameraDifference>,
     observer: &'a dyn Observer,
     folder: &'a mut OutputFolder,
 }
@@ -272,7 +285,7 @@ struct TrackedFrame {
 }
 
 impl Tracking<'_> {
-    /// `None` once self-calibration is certain of a different camera.
+    /// `None` once it is certain that the camera is different.
     fn next(&mut self, frame: Frame) -> Result<Option<TrackedFrame>> {
         let started = Instant::now();
         let estimate = self.odometry.process(frame.gray.clone(), frame.time_s)?;
@@ -280,11 +293,15 @@ impl Tracking<'_> {
         let mut events = self.odometry.take_keyframe_events();
         self.times.push(started.elapsed());
         let started = Instant::now();
-        if let Some(self_calibration) = &mut self.self_calibration {
-            self.found = self_calibration.watch(&estimate, &self.odometry);
-            if self.found.is_some() {
-                return Ok(None);
-            }
+        if self.pattern_may_be_new {
+            self.found = self.odometry.correction().cloned().map(CameraDifference::FixedPattern);
+        }
+        if let (Some(self_calibration), None) = (&mut self.self_calibration, &self.found) {
+            let found = self_calibration.watch(&estimate, &self.odometry);
+            self.found = found.map(|found| CameraDifference::Calibration(Box::new(found)));
+        }
+        if self.found.is_some() {
+            return Ok(None);
         }
         self.calibration_times.push(started.elapsed());
         let seen = self.of.frame(&estimate);

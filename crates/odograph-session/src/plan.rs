@@ -5,6 +5,7 @@ use crate::sensors::SensorFiles;
 use crate::{files, mask};
 use odograph::camera::{Camera, LeverArm, Rig};
 use odograph::error::{Error, Result};
+use odograph::fixed_pattern::NonuniformityCorrection;
 use odograph::loop_closure::LoopClosureConfig;
 use odograph::odometry::{Odometry, OdometryConfig};
 use odograph::pose_frame::{BaseLink, PoseFrame};
@@ -37,6 +38,9 @@ pub struct RunPlan {
     /// Mask of what is not ground.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub mask: Option<PathBuf>,
+    /// Fixed-pattern noise of the camera, where an earlier pass over the same frames found some.
+    #[serde(skip)]
+    pub correction: Option<NonuniformityCorrection>,
     #[serde(default, skip_serializing_if = "SensorFiles::is_empty")]
     /// The other sensors.
     pub sensors: SensorFiles,
@@ -146,7 +150,10 @@ impl RunPlan {
     /// # Errors
     /// If a parameter is out of range, or the mask cannot be read or does not fit.
     pub fn odometry(&self) -> Result<Odometry> {
-        let odometry = Odometry::new(self.camera.clone(), self.rig, self.odometry)?;
+        let mut odometry = Odometry::new(self.camera.clone(), self.rig, self.odometry)?;
+        if let Some(correction) = &self.correction {
+            odometry = odometry.with_correction(correction.clone());
+        }
         match &self.mask {
             Some(path) => odometry.with_mask(&mask::read(path)?).map_err(|error| error.at(path.display())),
             None => Ok(odometry),

@@ -71,6 +71,7 @@ impl RunBuilder {
             rig,
             frame: self.frame.or(rig.lever_arm.map(|_| FrameChoice::BaseLink)),
             antenna: self.antenna()?,
+            correction: None,
             mask: self.mask.clone(),
             sensors: self.sensors.clone(),
             budget,

@@ -136,12 +136,13 @@ fn track(
     let mut watch = CameraWatch::new(plan);
     watch.look_first(plan, &output.map, observer)?;
     loop {
-        match pipeline::track(plan, source, folder, output, watch.watch(plan), observer)? {
+        let watched = (watch.watch(plan), watch.watches_pattern(plan));
+        match pipeline::track(plan, source, folder, output, watched, observer)? {
             Ended::Tracked(tracked) => {
                 return Ok(Tracked { mount: watch.mount(), lens: watch.lens(), ..*tracked });
             }
             Ended::IsAnother(found) => {
-                watch.take(*found, plan);
+                watch.take(found, plan);
                 folder.begin_again()?;
                 source = plan.source.open()?;
             }

@@ -76,6 +76,18 @@ pub enum Alteration {
         /// Standard deviation of the pattern.
         gray: f64,
     },
+    /// A dirty window before the lens: half of the contrast, and smears that are fixed.
+    DirtyWindow {
+        /// Standard deviation of the smears.
+        gray: f64,
+    },
+    /// A grille before the lens.
+    Grille,
+    /// A sensor in the dark: little light, noise, columns that differ, and hot pixels.
+    DarkSensor {
+        /// Part of the light that is left.
+        light: f64,
+    },
     /// Below a line, the image before.
     Torn,
     /// Blocks that stay as they were two images before.
@@ -115,6 +127,10 @@ impl Alteration {
         let mut kept: Vec<f64> = Vec::new();
         let track = Track::new(clip);
         let size = clip.frames.first().map_or((0, 0), |(_, image)| (image.width(), image.height()));
+        let smears = match self {
+            Self::DirtyWindow { .. } => transmission::smears(size, seed),
+            _ => Vec::new(),
+        };
         let drops: Vec<(f64, f64, f64)> = (0..30)
             .map(|_| {
                 (
@@ -183,6 +199,13 @@ impl Alteration {
                 }
                 Self::Swinging => light::swinging(*time_s, width, &mut samples),
                 Self::Thermal { gray } => transmission::thermal(width, gray, seed, &mut samples),
+                Self::DirtyWindow { gray } => {
+                    transmission::dirty_window(&smears, gray, &mut samples);
+                }
+                Self::Grille => transmission::grille(width, &mut samples),
+                Self::DarkSensor { light } => {
+                    transmission::dark_sensor(width, light, seed, &mut random, &mut samples);
+                }
                 Self::Torn => {
                     if let Some(before) = before {
                         transmission::torn(number, before, &mut samples);

@@ -17,6 +17,62 @@ pub fn thermal(width: usize, gray: f64, seed: u64, samples: &mut [u8]) {
     }
 }
 
+/// Smears of some pixels with a standard deviation of one: noise, averaged three times over 5x5
+/// pixels.
+pub fn smears((width, height): (usize, usize), seed: u64) -> Vec<f64> {
+    const REACH: usize = 2;
+    let mut random = RandomStream(seed.wrapping_mul(91).wrapping_add(7) | 1);
+    let mut smears: Vec<f64> =
+        (0..width * height).map(|_| random.below(2001) as f64 / 1000.0 - 1.0).collect();
+    for _ in 0..3 {
+        let before = smears.clone();
+        for (at, smear) in smears.iter_mut().enumerate() {
+            let (x, y) = (at % width, at / width);
+            let rows = y.saturating_sub(REACH)..(y + REACH + 1).min(height);
+            let columns = x.saturating_sub(REACH)..(x + REACH + 1).min(width);
+            let count = (rows.len() * columns.len()) as f64;
+            *smear =
+                rows.map(|v| before[v * width..][columns.clone()].iter().sum::<f64>()).sum::<f64>() / count;
+        }
+    }
+    let deviation =
+        (smears.iter().map(|smear| smear * smear).sum::<f64>() / smears.len().max(1) as f64).sqrt();
+    smears.iter_mut().for_each(|smear| *smear /= deviation.max(f64::MIN_POSITIVE));
+    smears
+}
+
+/// Half of the contrast, behind smears.
+pub fn dirty_window(smears: &[f64], gray: f64, samples: &mut [u8]) {
+    for (sample, smear) in samples.iter_mut().zip(smears) {
+        *sample = (64.0 + 0.5 * f64::from(*sample) + gray * smear).round().clamp(0.0, 255.0) as u8;
+    }
+}
+
+/// Bars of 5 pixels, 32 pixels apart.
+pub fn grille(width: usize, samples: &mut [u8]) {
+    for (at, sample) in samples.iter_mut().enumerate() {
+        if at % width % 32 < 5 || at / width % 32 < 5 {
+            *sample = 30;
+        }
+    }
+}
+
+/// Little light, noise of 4 gray levels, columns that differ by 2, and three hot pixels in a
+/// thousand.
+pub fn dark_sensor(width: usize, light: f64, seed: u64, random: &mut RandomStream, samples: &mut [u8]) {
+    let mut fixed = RandomStream(seed.wrapping_mul(53).wrapping_add(11) | 1);
+    let columns: Vec<f64> =
+        (0..width).map(|_| (fixed.below(2001) as f64 / 1000.0 - 1.0) * 2.0 * 3f64.sqrt()).collect();
+    for row in samples.chunks_exact_mut(width) {
+        for (sample, column) in row.iter_mut().zip(&columns) {
+            let noise =
+                (0..4).map(|_| random.below(2001) as f64 / 1000.0 - 1.0).sum::<f64>() * 2.0 * 3f64.sqrt();
+            let dark = 8.0 + light * f64::from(*sample) + column + noise;
+            *sample = if fixed.below(1000) < 3 { 200 } else { dark.round().clamp(0.0, 255.0) as u8 };
+        }
+    }
+}
+
 /// Torn images: below a line that wanders, the image before.
 pub fn torn(number: usize, before: &GrayImage, samples: &mut [u8]) {
     let line = (number * 37) % before.height();

@@ -12,9 +12,11 @@
 //! of a stationary camera are ignored.
 
 mod image_mask;
+mod nonuniformity;
 mod statistics;
 
 pub use image_mask::{CELL_PX, ImageMask};
+pub use nonuniformity::NonuniformityCorrection;
 
 use crate::image::{GrayImage, noise_variance};
 use statistics::{Cells, Change, GradientStatistics};
@@ -43,6 +45,8 @@ pub struct FixedPattern {
     change: Change,
     /// Variance of the pixel noise, gray levels².
     noise: f64,
+    /// Whether static gradients are all over the image.
+    is_everywhere: bool,
     /// Static cells of the previous decision, and the confirmed ones of the current decision.
     before: Vec<bool>,
     lasting: Vec<bool>,
@@ -95,6 +99,7 @@ impl FixedPattern {
             statistics: GradientStatistics::new(size),
             change: Change::new(size),
             noise: LEAST_NOISE,
+            is_everywhere: false,
             before: vec![false; count],
             lasting: vec![false; count],
         }
@@ -107,9 +112,23 @@ impl FixedPattern {
         self
     }
 
+    /// Forgets what was found: from now on the images look otherwise. What was given is kept.
+    pub fn reset(&mut self) {
+        let fresh = Self::new(self.size);
+        *self = match self.given.take() {
+            Some(given) => fresh.with_given(given),
+            None => fresh,
+        };
+    }
+
     /// The mask of pixels that are not ground; `None` where it is empty.
     pub fn mask(&self) -> Option<&Arc<ImageMask>> {
         self.mask.as_ref()
+    }
+
+    /// Whether what is static is all over the image: a pattern that the camera adds.
+    pub fn is_everywhere(&self) -> bool {
+        self.is_everywhere
     }
 
     /// The masked fraction of the image, 0 to 1.
@@ -165,7 +184,9 @@ impl FixedPattern {
 
     fn decide(&mut self) {
         let sure = self.statistics.added() >= SURE_SAMPLES;
-        let found = self.statistics.fixed_cells(self.noise);
+        self.statistics.find_fixed_cells(self.noise);
+        self.is_everywhere = self.statistics.samples() >= SETTLED_SAMPLES && self.statistics.is_everywhere();
+        let found = self.statistics.fixed();
         let large = found.iter().filter(|fixed| **fixed).count() as f64 > LARGE * found.len() as f64;
         for (lasting, (now, before)) in self.lasting.iter_mut().zip(found.iter().zip(&self.before)) {
             *lasting = *now && (large || *before && sure);

@@ -18,6 +18,7 @@ pub(crate) mod learned;
 mod limits;
 mod loss;
 mod moving_ground;
+mod pattern_noise;
 mod pose_hypotheses;
 mod recalibration;
 mod recovery;
@@ -31,7 +32,7 @@ mod texture;
 use crate::camera::{Camera, Rig};
 use crate::error::{Error, Result};
 use crate::filter::ConstantAcceleration;
-use crate::fixed_pattern::{FixedPattern, ImageMask, SinceLast};
+use crate::fixed_pattern::{FixedPattern, ImageMask, NonuniformityCorrection, SinceLast};
 use crate::geometry::{GroundPose, Pixel};
 use crate::image::{GrayImage, Interlacing, Pyramid, even_field};
 use crate::motion::{MotionEstimate, MotionModel, PoseRates, Readout};
@@ -44,6 +45,7 @@ pub use keyframe_event::{FrameReference, KeyframeEvent, NewKeyframe};
 use last_pose::LastPose;
 use learned::Learned;
 use nalgebra::{Matrix6, Matrix6x2};
+use pattern_noise::PatternNoise;
 use recovery::Recovery;
 use standing::Standing;
 use tracking::Measurement;
@@ -76,6 +78,7 @@ pub struct Odometry {
     /// What of the image does not move with the ground.
     fixed: FixedPattern,
     standing: Standing,
+    pattern_noise: PatternNoise,
     interlacing: Interlacing,
     /// So many frames before this one were lost.
     lost_frames: usize,
@@ -135,6 +138,7 @@ impl Odometry {
             candidate: None,
             fixed,
             standing: Standing::default(),
+            pattern_noise: PatternNoise::default(),
             interlacing: Interlacing::default(),
             lost_frames: 0,
             repeated: 0,
@@ -181,6 +185,17 @@ impl Odometry {
         Ok(self)
     }
 
+    /// Subtracts a pattern that the camera is known to add to its images.
+    pub fn with_correction(mut self, correction: NonuniformityCorrection) -> Self {
+        self.pattern_noise = PatternNoise::known(correction);
+        self
+    }
+
+    /// The pattern that the camera adds to its images, where it is stronger than the ground.
+    pub fn correction(&self) -> Option<&NonuniformityCorrection> {
+        self.pattern_noise.correction()
+    }
+
     /// What of the image does not move with the ground, as far as it is known.
     pub fn fixed_in_image(&self) -> &FixedPattern {
         &self.fixed
@@ -193,8 +208,12 @@ impl Odometry {
     /// If the image has another size than the calibration, or the time is not a number.
     pub fn process(&mut self, image: GrayImage, time_s: f64) -> Result<FrameEstimate> {
         self.check_input(&image, time_s)?;
-        let image = if self.interlacing.look(&image) { even_field(image) } else { image };
+        let mut image = if self.interlacing.look(&image) { even_field(image) } else { image };
         self.check_readout(time_s)?;
+        let seen = self.pattern_noise.keep(&image, self.frames);
+        if let Some(correction) = self.pattern_noise.correction() {
+            correction.apply(&mut image);
+        }
         if self.is_repeated(&image)
             && let Some(frame) = self.repeat(time_s)
         {
@@ -223,6 +242,7 @@ impl Odometry {
         if since_last == SinceLast::Moved || self.frames == 0 {
             self.standing.counts_from(frame.estimate.as_ref().map(|estimate| estimate.pose));
         }
+        self.learn_pattern(seen, frame.estimate.as_ref().map(|estimate| estimate.pose), since_last);
         self.frames += 1;
         Ok(frame)
     }

@@ -69,6 +69,11 @@ impl Recovery {
         Self { registration: CoarseRegistration::new(camera), tried: 0 }
     }
 
+    /// What compares whole images.
+    pub fn registration(&self) -> &CoarseRegistration {
+        &self.registration
+    }
+
     /// The next loss begins with the newest keyframes again.
     pub fn reset(&mut self) {
         self.tried = 0;

@@ -38,6 +38,13 @@ impl Standing {
         self.suspected.is_some()
     }
 
+    /// The tracker gave this pose, and stands where the ground moves.
+    pub fn suspect(&mut self, pose: Option<GroundPose>) {
+        if pose.is_some() {
+            (self.suspected, self.frames_left) = (pose, SUSPICION_FRAMES);
+        }
+    }
+
     fn clear(&mut self) {
         (self.counted, self.suspected) = (None, None);
     }

@@ -9,6 +9,7 @@ use crate::simulation::{
 
 mod lossy;
 mod moving;
+mod pattern;
 mod relief;
 mod repeating;
 mod rolling;

@@ -61,6 +61,8 @@ pub struct Hypothesis {
     pub scale: f64,
     /// Normalised correlation over the overlap, −1 to 1.
     pub correlation: f64,
+    /// Fraction of the overlap's blocks of 10x10 samples whose correlation is positive, 0 to 1.
+    pub agreement: f64,
     /// Overlap as a fraction of the keyframe's view, 0 to 1.
     pub overlap: f64,
     /// Correlation in standard deviations of that of unrelated places. The maximum over all tried
@@ -149,6 +151,11 @@ impl CoarseRegistration {
             }
         }
         found
+    }
+
+    /// How much of two views has not moved: [`Hypothesis::agreement`] of the same pose.
+    pub fn static_share(&self, before: &GroundView, now: &GroundView) -> f64 {
+        refinement::agreeing_share(before, now, &ViewPlacement::SAME)
     }
 
     /// The best shifts at every rotation, at one scale.

@@ -28,6 +28,9 @@ pub(super) struct OverlapCorrelation {
 const MIN_SAMPLES: usize = 300;
 
 impl ViewPlacement {
+    /// Two views of the same place.
+    pub const SAME: Self = Self { heading_rad: 0.0, zoom: 1.0, shift: (0.0, 0.0) };
+
     pub fn of(peak: &Peak) -> Self {
         Self { heading_rad: peak.heading_rad, zoom: peak.zoom, shift: peak.shift }
     }
@@ -57,6 +60,7 @@ impl ViewPlacement {
             heading_rad: wrap_angle(self.heading_rad),
             scale,
             correlation: agreement.correlation,
+            agreement: agreeing_share(keyframe, now, self),
             overlap: agreement.samples as f64 / keyframe.area as f64,
             score,
         }
@@ -176,6 +180,34 @@ pub(super) fn compare(
     let covariance = product - sum * sum_now / n;
     let variances = (energy - sum * sum / n) * (energy_now - sum_now * sum_now / n);
     (variances > 1e-9).then(|| OverlapCorrelation { correlation: covariance / variances.sqrt(), samples })
+}
+
+/// Side of the blocks of [`agreeing_share`], samples.
+const BLOCK: usize = 10;
+
+/// The part of the overlap's blocks in which the views are correlated positively: a half by chance,
+/// and all where the whole view is placed alike.
+pub(super) fn agreeing_share(keyframe: &GroundView, now: &GroundView, placement: &ViewPlacement) -> f64 {
+    let (sin, cos) = placement.heading_rad.sin_cos();
+    let (sin, cos) = (sin / placement.zoom, cos / placement.zoom);
+    let middle = |view: &GroundView| (0.5 * (view.width as f64 - 1.0), 0.5 * (view.height as f64 - 1.0));
+    let (from, to) = (middle(keyframe), middle(now));
+    let columns = keyframe.width.div_ceil(BLOCK);
+    // Per block: number of samples, their sums and the sum of their products.
+    let mut blocks = vec![[0.0f32; 4]; columns * keyframe.height.div_ceil(BLOCK)];
+    for (at, &a) in keyframe.known.iter().enumerate() {
+        let (i, j) = (at % keyframe.width, at / keyframe.width);
+        let (right, down) = (i as f64 - from.0 - placement.shift.0, j as f64 - from.1 - placement.shift.1);
+        let (x, y) = (to.0 + cos * right - sin * down, to.1 + sin * right + cos * down);
+        let b = now.interpolate_known(x as f32, y as f32);
+        if !a.is_nan() && !b.is_nan() {
+            let block = &mut blocks[j / BLOCK * columns + i / BLOCK];
+            block.iter_mut().zip([1.0, a, b, a * b]).for_each(|(sum, own)| *sum += own);
+        }
+    }
+    let seen = blocks.iter().filter(|[count, ..]| 2.0 * count > (BLOCK * BLOCK) as f32);
+    let covary = |[count, a, b, product]: &&[f32; 4]| product * count > a * b;
+    seen.clone().filter(covary).count() as f64 / seen.count().max(1) as f64
 }
 
 /// The interval of t in which `start` + `slope` t lies between 0 and `last`.

@@ -13,7 +13,7 @@ use super::surface::Surface;
 use super::texture::{self, TextureClass};
 use crate::camera::Camera;
 use crate::detection::{Detection, DetectionConfig};
-use crate::fixed_pattern::ImageMask;
+use crate::fixed_pattern::{ImageMask, NonuniformityCorrection};
 use crate::flow::{Template, Warp};
 use crate::geometry::{GroundPose, Pixel};
 use crate::image::{GrayImage, Pyramid};
@@ -150,18 +150,33 @@ impl Keyframe {
     /// Sets the mask. If a corner lies in it, all are detected again, and [`Keyframe::prepare`]
     /// must be called before measuring.
     pub fn set_mask(&mut self, mask: &Arc<ImageMask>, detection: &DetectionConfig) {
-        let image = self.pyramid.base();
         let begun = self.sought.is_some();
-        if begun || self.places.iter().any(|&(x, y)| mask.covers(x, y)) {
-            self.sought = Some(Box::new(sought(image, Some(mask), detection)));
-            self.places.clear();
-            self.corners.clear();
-            (self.prepared, self.corners_at_first, self.in_halves) = (0, 0, false);
-            self.texture = OnceLock::new();
-        }
         self.mask = Some(mask.clone());
         self.view = None;
         self.dense = OnceLock::new();
+        if begun || self.places.iter().any(|&(x, y)| mask.covers(x, y)) {
+            self.detect_again(detection);
+        }
+    }
+
+    /// Subtracts fixed-pattern noise from its image and detects its corners again;
+    /// [`Keyframe::prepare`] must be called before measuring.
+    pub fn correct(&mut self, correction: &NonuniformityCorrection, detection: &DetectionConfig) {
+        let mut image = self.pyramid.base().clone();
+        correction.apply(&mut image);
+        self.pyramid.replace(image);
+        self.mask = None;
+        self.view = None;
+        self.dense = OnceLock::new();
+        self.detect_again(detection);
+    }
+
+    fn detect_again(&mut self, detection: &DetectionConfig) {
+        self.sought = Some(Box::new(sought(self.pyramid.base(), self.mask.as_ref(), detection)));
+        self.places.clear();
+        self.corners.clear();
+        (self.prepared, self.corners_at_first, self.in_halves) = (0, 0, false);
+        self.texture = OnceLock::new();
     }
 
     /// Whether a place in the image is known not to be ground.

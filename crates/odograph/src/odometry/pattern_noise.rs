@@ -1,0 +1,224 @@
+//! Fixed-pattern noise that competes with the ground: a dirty window, the columns of a sensor in the
+//! dark, a thermal camera.
+//!
+//! Where the pattern is weaker, the static gradients of [`crate::fixed_pattern::FixedPattern`] are
+//! all over the image. Where it is stronger, the tracker follows the pattern, and the camera seems
+//! to stand. Differences between images are free of the pattern: three images at equal intervals
+//! have two differences, and where the ground moves below the pattern, the second is the first,
+//! shifted by the motion. Light that changes while the camera stands leaves differences, too, but
+//! they are not shifted (`docs/math/fixed-pattern.md`).
+
+use super::Odometry;
+use super::last_pose::seen_apart;
+use super::texture::is_bare;
+use crate::fixed_pattern::{NonuniformityCorrection, SinceLast};
+use crate::geometry::GroundPose;
+use crate::image::{GrayImage, Pyramid};
+use crate::motion::{CoarseOptions, GroundView};
+use std::collections::VecDeque;
+
+/// Search for fixed-pattern noise, and its correction.
+#[derive(Debug, Default)]
+pub struct PatternNoise {
+    correction: Option<NonuniformityCorrection>,
+    is_active: bool,
+    /// Images an interval apart, with the poses that the tracker gave them.
+    earlier: VecDeque<(GrayImage, Option<GroundPose>)>,
+    /// The ground was seen to move and is assumed to go on until this frame.
+    moves_until: u64,
+    /// The next look is not before this frame, and the time from it to the one after it: a look
+    /// takes as long as ten frames, and the time between fruitless ones doubles.
+    not_before: u64,
+    patience: u64,
+}
+
+/// Frames from one image to the next: ground that moves by one to some thirty pixels a frame
+/// then overlaps, and has moved by more than the size of its texture.
+const INTERVAL: u64 = 8;
+
+/// While the ground moves, every second image is added to the mean.
+const LEARNED_EVERY: u64 = 2;
+
+/// Motion below which the tracker stands, and least motion of the ground, pixels in an interval.
+const STANDS_PX: f64 = 2.0;
+const MOVES_PX: f64 = 6.0;
+
+/// Least score of the registration of two differences, of which chance reaches eight, and the part
+/// of the view that must move alike, and at the same time stay alike. Where a person walks by, no
+/// part does both.
+const LEAST_SCORE: f64 = 12.0;
+const LEAST_AGREEMENT: f64 = 0.85;
+
+/// The correction is used after this many images of moving ground: with those of one interval, in
+/// which a person may have walked by, it has seven.
+const ENOUGH_SAMPLES: u32 = 12;
+
+/// Least strength of the pattern in an image from which more of it is learned.
+const IS_THERE: f64 = 0.5;
+
+/// Longest time from one fruitless look to the next, frames.
+const MOST_PATIENCE: u64 = 256;
+
+/// How the ground moves.
+enum MotionBelow {
+    NotDue,
+    /// The images change, but not as moving ground does.
+    Unclear,
+    None,
+    /// The tracker moves.
+    Followed,
+    /// The ground moves, and the tracker stands or is lost.
+    NotFollowed,
+}
+
+impl PatternNoise {
+    /// With a pattern that is known from the beginning.
+    pub fn known(correction: NonuniformityCorrection) -> Self {
+        Self { correction: Some(correction), is_active: true, ..Self::default() }
+    }
+
+    /// The correction, where there is such a pattern.
+    pub fn correction(&self) -> Option<&NonuniformityCorrection> {
+        self.correction.as_ref().filter(|_| self.is_active)
+    }
+
+    /// The ground has moved up to this image, and is assumed to go on.
+    fn learn_while_it_moves(&mut self, image: &GrayImage, frame: u64) {
+        let correction = self.correction.get_or_insert_with(|| {
+            let mut correction = NonuniformityCorrection::new((image.width(), image.height()));
+            self.earlier.iter().for_each(|(earlier, _)| correction.learn(earlier));
+            correction
+        });
+        if frame >= self.moves_until {
+            correction.learn(image);
+        }
+        self.moves_until = frame + INTERVAL + 1;
+    }
+
+    fn look_again_at_once(&mut self) {
+        (self.patience, self.not_before) = (0, 0);
+    }
+
+    fn look_later(&mut self, frame: u64) {
+        self.patience = (2 * self.patience).clamp(INTERVAL, MOST_PATIENCE);
+        self.not_before = frame + self.patience;
+        self.correction = None;
+    }
+
+    /// A copy of an image before its correction, if something is to be learned from it.
+    pub fn keep(&self, image: &GrayImage, frame: u64) -> Option<GrayImage> {
+        let is_learning = self.correction.is_some() && frame.is_multiple_of(LEARNED_EVERY);
+        let is_due = self.is_active || is_learning || frame.is_multiple_of(INTERVAL);
+        is_due.then(|| image.clone())
+    }
+}
+
+impl Odometry {
+    /// Learns the pattern from a frame's image as the camera saw it, and the pose it was given.
+    pub(super) fn learn_pattern(
+        &mut self,
+        seen: Option<GrayImage>,
+        pose: Option<GroundPose>,
+        since_last: SinceLast,
+    ) {
+        let Some(image) = seen else { return };
+        let frame = self.frames;
+        let noise = &mut self.pattern_noise;
+        let moves = since_last == SinceLast::Moved || !noise.is_active && frame < noise.moves_until;
+        if let Some(correction) = noise.correction.as_mut().filter(|_| moves)
+            && (!noise.is_active || correction.strength(&image) > IS_THERE)
+        {
+            correction.learn(&image);
+            if !noise.is_active && correction.samples() >= ENOUGH_SAMPLES {
+                return self.correct_from_now_on();
+            }
+        }
+        if noise.is_active || !frame.is_multiple_of(INTERVAL) {
+            return;
+        }
+        let motion = self.look_for_motion(&image, pose.as_ref());
+        let noise = &mut self.pattern_noise;
+        match motion {
+            MotionBelow::NotDue => {}
+            MotionBelow::Unclear => noise.look_later(frame),
+            MotionBelow::None => noise.look_again_at_once(),
+            MotionBelow::Followed => {
+                noise.look_again_at_once();
+                if self.fixed.is_everywhere() {
+                    noise.learn_while_it_moves(&image, frame);
+                }
+            }
+            MotionBelow::NotFollowed => {
+                noise.look_again_at_once();
+                noise.learn_while_it_moves(&image, frame);
+                self.standing.suspect(pose);
+            }
+        }
+        noise.earlier.push_back((image, pose));
+        if noise.earlier.len() > 2 {
+            noise.earlier.pop_front();
+        }
+    }
+
+    /// Whether the ground has moved from the last image but one to the last, and on to this one,
+    /// while the tracker stood or was lost.
+    fn look_for_motion(&self, image: &GrayImage, pose: Option<&GroundPose>) -> MotionBelow {
+        let noise = &self.pattern_noise;
+        let mut earlier = noise.earlier.iter();
+        let (Some((first, _)), Some((second, before))) = (earlier.next(), earlier.next()) else {
+            return MotionBelow::NotDue;
+        };
+        let moves_px = |from: &GroundPose, to: &GroundPose| seen_apart(from, to) * self.camera.focal_px().0;
+        if before.as_ref().zip(pose).is_some_and(|(before, pose)| moves_px(before, pose) > STANDS_PX) {
+            return MotionBelow::Followed;
+        }
+        if self.frames < noise.not_before {
+            return MotionBelow::NotDue;
+        }
+        let change = difference(image, second);
+        if is_bare(&change) {
+            return MotionBelow::None;
+        }
+        let from = before.unwrap_or(self.first_pose);
+        let registration = self.recovery.registration();
+        let view = |image| registration.view(&Pyramid::new(image, self.config.flow.levels), None, &from);
+        let moves = |before: GroundView, now: GroundView| {
+            let options = CoarseOptions { heading_rad: (0.0, 0.0), scale_free: false, hypotheses: 1 };
+            registration.register(&before, &now, &options).first().is_some_and(|found| {
+                found.score > LEAST_SCORE
+                    && found.agreement > LEAST_AGREEMENT
+                    && moves_px(&from, &found.pose(&from, &from)) > MOVES_PX
+            })
+        };
+        let stays =
+            |before: GroundView, now: GroundView| registration.static_share(&before, &now) > LEAST_AGREEMENT;
+        let is_below_a_pattern =
+            view(difference(second, first)).zip(view(change)).is_some_and(|(a, b)| moves(a, b))
+                && view(second.clone()).zip(view(image.clone())).is_some_and(|(a, b)| stays(a, b));
+        if is_below_a_pattern { MotionBelow::NotFollowed } else { MotionBelow::Unclear }
+    }
+
+    /// Removes the pattern from all images to come, and from the keyframe.
+    fn correct_from_now_on(&mut self) {
+        let noise = &mut self.pattern_noise;
+        noise.is_active = true;
+        noise.earlier.clear();
+        let Some(correction) = &noise.correction else { return };
+        if let Some(keyframe) = &mut self.keyframe {
+            keyframe.correct(correction, &self.config.detection);
+            keyframe.prepare(&self.camera);
+        }
+        self.candidate = None;
+        self.fixed.reset();
+        self.standing = Default::default();
+    }
+}
+
+/// The change from one image to another, about middle gray.
+fn difference(to: &GrayImage, from: &GrayImage) -> GrayImage {
+    let mut change = to.clone();
+    for (sample, before) in change.samples_mut().iter_mut().zip(from.samples()) {
+        *sample = (128 + i16::from(*sample) - i16::from(*before)).clamp(0, 255) as u8;
+    }
+    change
+}
