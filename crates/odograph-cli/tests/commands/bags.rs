@@ -1,0 +1,457 @@
+//! Robot recordings as a black box: a run over a recording is the run over its frames.
+
+use crate::hostile::recording;
+use odograph::geometry::EarthPosition;
+use odograph::georeference::Anchor;
+use std::borrow::Cow;
+use std::collections::BTreeMap;
+use std::fs;
+use std::path::Path;
+use std::process::{Command, Output};
+
+const FRAMES: usize = 40;
+const WIDTH: u32 = 320;
+const HEIGHT: u32 = 240;
+
+fn odograph(folder: &Path, arguments: &str) -> Output {
+    let mut command = Command::new(env!("CARGO_BIN_EXE_odograph"));
+    command.current_dir(folder).args(arguments.split_whitespace()).output().unwrap()
+}
+
+fn done(folder: &Path, arguments: &str) -> (String, String) {
+    let output = odograph(folder, arguments);
+    let message = String::from_utf8_lossy(&output.stderr).into_owned();
+    assert!(output.status.success(), "{arguments}: {message}");
+    (String::from_utf8(output.stdout).unwrap(), message)
+}
+
+/// The time of a frame, nanoseconds.
+fn time_ns(number: usize) -> u64 {
+    1_700_000_000_000_000_000 + 33_333_333 * number as u64
+}
+
+/// A message in CDR, little-endian.
+struct Cdr(Vec<u8>);
+
+impl Cdr {
+    fn new(time_ns: u64) -> Self {
+        let mut cdr = Self(vec![0, 1, 0, 0]);
+        cdr.u32((time_ns / 1_000_000_000) as u32);
+        cdr.u32((time_ns % 1_000_000_000) as u32);
+        cdr.text("camera");
+        cdr
+    }
+
+    fn align(&mut self, bytes: usize) {
+        self.0.resize(4 + (self.0.len() - 4).next_multiple_of(bytes), 0);
+    }
+
+    fn u32(&mut self, value: u32) {
+        self.align(4);
+        self.0.extend(value.to_le_bytes());
+    }
+
+    fn doubles(&mut self, values: &[f64]) {
+        self.align(8);
+        values.iter().for_each(|value| self.0.extend(value.to_le_bytes()));
+    }
+
+    fn bytes(&mut self, bytes: &[u8]) {
+        self.u32(bytes.len() as u32);
+        self.0.extend(bytes);
+    }
+
+    fn text(&mut self, text: &str) {
+        self.bytes(format!("{text}\0").as_bytes());
+    }
+}
+
+/// `sensor_msgs/msg/Image`
+fn image(time_ns: u64, gray: &[u8]) -> Vec<u8> {
+    let mut message = Cdr::new(time_ns);
+    message.u32(HEIGHT);
+    message.u32(WIDTH);
+    message.text("mono8");
+    message.0.push(0);
+    message.u32(WIDTH);
+    message.bytes(gray);
+    message.0
+}
+
+/// `sensor_msgs/msg/CameraInfo` of the camera in `recording::CAMERA`.
+fn camera_info(time_ns: u64) -> Vec<u8> {
+    let mut message = Cdr::new(time_ns);
+    message.u32(HEIGHT);
+    message.u32(WIDTH);
+    message.text("plumb_bob");
+    message.u32(5);
+    message.doubles(&[0.0; 5]);
+    message.doubles(&[300.0, 0.0, 159.5, 0.0, 300.0, 119.5, 0.0, 0.0, 1.0]);
+    message.doubles(&[1.0, 0.0, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0, 1.0]);
+    message.doubles(&[300.0, 0.0, 159.5, 0.0, 0.0, 300.0, 119.5, 0.0, 0.0, 0.0, 1.0, 0.0]);
+    (0..6).for_each(|_| message.u32(0));
+    message.0.push(0);
+    message.0
+}
+
+/// `sensor_msgs/msg/Range`
+fn range(time_ns: u64) -> Vec<u8> {
+    let mut message = Cdr::new(time_ns);
+    message.0.push(1);
+    message.align(4);
+    [0.1f32, 0.1, 4.0, 1.0].iter().for_each(|value| message.0.extend(value.to_le_bytes()));
+    message.0
+}
+
+/// `sensor_msgs/msg/NavSatFix` with a deviation of 2 cm; without a fix where there is no place.
+fn fix(time_ns: u64, place: Option<EarthPosition>) -> Vec<u8> {
+    let mut message = Cdr::new(time_ns);
+    message.0.push(if place.is_some() { 2 } else { 255 });
+    message.align(2);
+    message.0.extend(1u16.to_le_bytes());
+    let degrees =
+        place.map_or([f64::NAN; 2], |p| [p.latitude_rad.to_degrees(), p.longitude_rad.to_degrees()]);
+    message.doubles(&[degrees[0], degrees[1], 200.0]);
+    message.doubles(&[4e-4, 0.0, 0.0, 0.0, 4e-4, 0.0, 0.0, 0.0, 1e-3]);
+    message.0.push(2);
+    message.0
+}
+
+/// The frames of a Y4M stream of `recording::y4m`.
+fn views(frames: usize) -> Vec<Vec<u8>> {
+    let stream = recording::y4m(frames);
+    let header = stream.iter().position(|&byte| byte == b'\n').unwrap() + 1;
+    stream[header..].chunks((WIDTH * HEIGHT) as usize + 6).map(|frame| frame[6..].to_vec()).collect()
+}
+
+/// `tf2_msgs/msg/TFMessage`: parent, child, position and quaternion of each transform.
+fn transforms(time_ns: u64, all: &[(&str, &str, [f64; 7])]) -> Vec<u8> {
+    let mut message = Cdr(vec![0, 1, 0, 0]);
+    message.u32(all.len() as u32);
+    for (parent, child, numbers) in all {
+        message.u32((time_ns / 1_000_000_000) as u32);
+        message.u32((time_ns % 1_000_000_000) as u32);
+        message.text(parent);
+        message.text(child);
+        message.doubles(numbers);
+    }
+    message.0
+}
+
+/// A camera that looks straight down, as high as `z` on the robot.
+fn looking_down(z: f64) -> [f64; 7] {
+    let half = 0.5f64.sqrt();
+    [0.3, 0.05, z, half, -half, 0.0, 0.0]
+}
+
+/// Writes an MCAP file with the images on each of the topics.
+fn write(path: &Path, topics: &[&str]) {
+    write_robot(path, topics, &[], &[]);
+}
+
+/// The same with static transforms, and with positions of a satellite receiver at the frames.
+fn write_robot(
+    path: &Path,
+    topics: &[&str],
+    on_robot: &[(&str, &str, [f64; 7])],
+    fixes: &[Option<EarthPosition>],
+) {
+    let file = std::io::BufWriter::new(fs::File::create(path).unwrap());
+    let options = mcap::WriteOptions::new().compression(None).profile("ros2");
+    let mut writer = options.create(file).unwrap();
+    let mut channel = |name: &str, kind: &str| {
+        let schema = writer.add_schema(kind, "ros2msg", b"").unwrap();
+        writer.add_channel(schema, name, "cdr", &BTreeMap::new()).unwrap()
+    };
+    let infos = channel("/front/camera_info", "sensor_msgs/msg/CameraInfo");
+    let ranges = channel("/sonar", "sensor_msgs/msg/Range");
+    let robot = (!on_robot.is_empty()).then(|| channel("/tf_static", "tf2_msgs/msg/TFMessage"));
+    let receiver = (!fixes.is_empty()).then(|| channel("/gnss/fix", "sensor_msgs/msg/NavSatFix"));
+    let images: Vec<u16> = topics.iter().map(|name| channel(name, "sensor_msgs/msg/Image")).collect();
+    for (number, view) in views(FRAMES).iter().enumerate() {
+        let time_ns = time_ns(number);
+        let mut put = |channel_id: u16, data: Vec<u8>| {
+            // Recorded a while after it was taken.
+            let (log_time, publish_time) = (time_ns + 7_654_321, time_ns);
+            let header =
+                mcap::records::MessageHeader { channel_id, sequence: number as u32, log_time, publish_time };
+            writer.write_to_known_channel(&header, &Cow::from(data)).unwrap();
+        };
+        if let Some(robot) = robot.filter(|_| number == 0) {
+            put(robot, transforms(time_ns, on_robot));
+        }
+        if let (Some(receiver), Some(place)) = (receiver, fixes.get(number)) {
+            put(receiver, fix(time_ns, *place));
+        }
+        put(infos, camera_info(time_ns));
+        put(ranges, range(time_ns));
+        for &channel in &images {
+            put(channel, image(time_ns, view));
+        }
+    }
+    writer.finish().unwrap();
+}
+
+#[test]
+fn a_run_over_a_recording_is_the_run_over_its_frames() {
+    let place = tempfile::tempdir().unwrap();
+    let here = place.path();
+    fs::write(here.join("drive.y4m"), recording::y4m(FRAMES)).unwrap();
+    fs::write(here.join("camera.yaml"), recording::CAMERA).unwrap();
+    let times: Vec<String> = (0..FRAMES).map(|number| time_ns(number).to_string()).collect();
+    fs::write(here.join("times.txt"), times.join("\n")).unwrap();
+    write(&here.join("drive.mcap"), &["/front/image_raw"]);
+    write(&here.join("two.mcap"), &["/front/image_raw", "/front/image_rect"]);
+    done(here, "run drive.y4m --timestamps times.txt --camera camera.yaml --height 1.0 -o frames --quiet");
+    // The camera is that of the recording.
+    done(here, "run drive.mcap --height 1.0 -o bag --quiet");
+    done(here, "run two.mcap --topic /front/image_raw --height 1.0 -o chosen --quiet");
+    let trajectory = fs::read_to_string(here.join("frames/trajectory.tum")).unwrap();
+    assert_eq!(trajectory.lines().filter(|line| !line.starts_with('#')).count(), FRAMES);
+    for folder in ["bag", "chosen"] {
+        assert_eq!(
+            fs::read_to_string(here.join(folder).join("trajectory.tum")).unwrap(),
+            trajectory,
+            "{folder}"
+        );
+    }
+    // run.toml repeats it, from its own folder.
+    done(here, "run chosen/run.toml -o again --quiet");
+    assert_eq!(fs::read_to_string(here.join("again/trajectory.tum")).unwrap(), trajectory);
+
+    // What is missing or too much is reported in one sentence.
+    for (arguments, words) in [
+        (
+            "run two.mcap --height 1.0",
+            "there are 2 topics with images; choose one with --topic NAME:\n  /front/image_raw   320x240 mono8  30.0 Hz  40 \
+             images  sensor_msgs/Image\n  /front/image_rect  320x240 mono8",
+        ),
+        ("run drive.mcap", "the height of the camera above the ground is missing"),
+        (
+            "run drive.mcap --height 1.0 --gyro-topic /imu",
+            "there is no topic /imu of the type sensor_msgs/Imu",
+        ),
+        ("run drive.y4m --topic /front --camera camera.yaml --height 1.0", "only robot recordings"),
+        ("run drive.mcap --height 1.0 --range-topic /sonar --range range.csv", "cannot be used with"),
+    ] {
+        let output = odograph(here, &format!("{arguments} -o refused"));
+        let message = String::from_utf8_lossy(&output.stderr).into_owned();
+        assert!(output.status.code() == Some(2) && message.contains(words), "{arguments}: {message}");
+    }
+    let (_, message) = done(here, "run drive.mcap --height 1.0 --range-topic /sonar -o ranged");
+    assert!(!message.contains("error"), "{message}");
+    let statistics = fs::read_to_string(here.join("ranged/stats.json")).unwrap();
+    assert!(statistics.contains("\"sensors\""), "{statistics}");
+}
+
+/// Numbers of the lines of a TUM file.
+fn poses(path: &Path) -> Vec<Vec<f64>> {
+    let text = fs::read_to_string(path).unwrap();
+    let lines = text.lines().filter(|line| !line.starts_with('#'));
+    lines.map(|line| line.split(' ').map(|word| word.parse().unwrap()).collect()).collect()
+}
+
+#[test]
+fn the_mount_is_taken_from_the_transforms_of_a_recording() {
+    let place = tempfile::tempdir().unwrap();
+    let here = place.path();
+    let level = |z: f64| [0.0, 0.0, z, 0.0, 0.0, 0.0, 1.0];
+    let robot = [("base_footprint", "base_link", level(0.2)), ("base_link", "camera", looking_down(0.8))];
+    write_robot(&here.join("robot.mcap"), &["/front/image_raw"], &robot, &[]);
+    let (_, message) = done(here, "run robot.mcap -o robot");
+    assert!(
+        message.contains(
+            "note: camera in base_link, from /tf_static: x 0.300 m, y 0.050 m, z 0.800 m, roll 0.0°, pitch 0.0°, \
+             yaw 0.0°; height 1.000 m over base_footprint (--rig overrides)\n"
+        ),
+        "{message}"
+    );
+    done(here, "run robot.mcap --frame camera -o camera --quiet");
+    let (robot_poses, camera) =
+        (poses(&here.join("robot/trajectory.tum")), poses(&here.join("camera/trajectory.tum")));
+    assert_eq!((robot_poses.len(), camera.len()), (FRAMES, FRAMES));
+    for (robot, camera) in robot_poses.iter().zip(&camera) {
+        // The floor moves without turning.
+        assert!((robot[1] - camera[1] + 0.3).abs() < 2e-3 && (robot[2] - camera[2] + 0.05).abs() < 2e-3);
+        assert!((robot[3] - 0.2).abs() < 2e-3 && robot[7] > 0.999, "{robot:?}");
+    }
+    // --height and --rig come before it.
+    done(here, "run robot.mcap --height 2.0 -o high --quiet");
+    let last = poses(&here.join("high/trajectory.tum")).pop().unwrap();
+    assert!((last[3] - 1.2).abs() < 5e-3, "{last:?}");
+    fs::write(here.join("rig.toml"), "height_m = 1.0").unwrap();
+    let (_, message) = done(here, "run robot.mcap --rig rig.toml -o given");
+    assert!(!message.contains("tf_static"), "{message}");
+
+    // The frame of a camera that is not its optical frame looks ahead.
+    let ahead = [("base_link", "camera", level(0.8))];
+    write_robot(&here.join("ahead.mcap"), &["/front/image_raw"], &ahead, &[]);
+    let (_, message) = done(here, "run ahead.mcap --height 1.0 -o ahead");
+    assert!(message.contains("warning: the transforms of ahead.mcap are not used"), "{message}");
+    let first = &poses(&here.join("ahead/trajectory.tum"))[0];
+    assert!((first[3] - 1.0).abs() < 1e-6, "{first:?}");
+}
+
+/// A message in CDR that is read again.
+struct Cdr2<'a>(&'a [u8], usize);
+
+impl Cdr2<'_> {
+    fn u32(&mut self) -> u32 {
+        self.1 = 4 + (self.1 - 4).next_multiple_of(4) + 4;
+        u32::from_le_bytes(self.0[self.1 - 4..self.1].try_into().unwrap())
+    }
+
+    fn text(&mut self) -> String {
+        let length = self.u32() as usize;
+        self.1 += length;
+        String::from_utf8(self.0[self.1 - length..self.1 - 1].to_vec()).unwrap()
+    }
+
+    fn doubles(&mut self, count: usize) -> Vec<f64> {
+        self.1 = 4 + (self.1 - 4).next_multiple_of(8);
+        let bytes = &self.0[self.1..self.1 + 8 * count];
+        self.1 += 8 * count;
+        bytes.chunks(8).map(|bytes| f64::from_le_bytes(bytes.try_into().unwrap())).collect()
+    }
+}
+
+#[test]
+fn a_run_is_written_as_a_bag_of_ros_2() {
+    let place = tempfile::tempdir().unwrap();
+    let here = place.path();
+    let robot = [("base_link", "camera", looking_down(0.8))];
+    write_robot(&here.join("robot.mcap"), &["/front/image_raw"], &robot, &[]);
+    done(here, "run robot.mcap --height 1.0 --bag-out poses.mcap -o robot --quiet");
+    let odometry = poses(&here.join("robot/odometry.tum"));
+    let log = fs::read(here.join("poses.mcap")).unwrap();
+    let mut counts = BTreeMap::new();
+    for message in mcap::MessageStream::new(&log).unwrap() {
+        let message = message.unwrap();
+        let channel = &message.channel;
+        assert_eq!(channel.message_encoding, "cdr");
+        assert_eq!(channel.schema.as_ref().unwrap().encoding, "ros2msg");
+        let at = counts.entry(channel.topic.clone()).or_insert(0usize);
+        let mut cdr = Cdr2(&message.data, 4);
+        let count = if channel.topic.starts_with("/tf") { cdr.u32() } else { 1 };
+        let stamp_ns = u64::from(cdr.u32()) * 1_000_000_000 + u64::from(cdr.u32());
+        assert!(stamp_ns.abs_diff(time_ns(*at)) < 1000 && message.log_time == stamp_ns);
+        match channel.topic.as_str() {
+            "/odometry" => {
+                assert_eq!((cdr.text().as_str(), cdr.text().as_str()), ("odom", "base_link"));
+                let (pose, covariance) = (cdr.doubles(7), cdr.doubles(36));
+                for (recorded, written) in pose.iter().zip(&odometry[*at][1..]) {
+                    assert!((recorded - written).abs() < 1e-6, "{pose:?} {:?}", odometry[*at]);
+                }
+                let symmetric =
+                    (0..36).all(|k| (covariance[k] - covariance[k % 6 * 6 + k / 6]).abs() < 1e-15);
+                assert!(symmetric && (0..6).all(|k| covariance[7 * k] >= 0.0), "{covariance:?}");
+                assert!(*at == 0 || covariance[0] > 0.0 && covariance[35] > 0.0);
+                let (speed, turned) = (cdr.doubles(6), cdr.doubles(36));
+                // Four pixels a frame upwards in the image, backwards and to the side not at all.
+                assert!(*at < 5 || speed[0].hypot(speed[1]) > 0.3 && speed[5].abs() < 0.05, "{speed:?}");
+                assert_eq!(turned[0], -1.0);
+                assert_eq!(cdr.1, message.data.len());
+            }
+            "/tf" => {
+                assert_eq!((count, cdr.text().as_str(), cdr.text().as_str()), (2, "map", "odom"));
+            }
+            "/tf_static" => {
+                assert_eq!((count, cdr.text().as_str(), cdr.text().as_str()), (1, "base_link", "camera"));
+                let (recorded, given) = (cdr.doubles(7), looking_down(0.8));
+                // A quaternion and its negative are the same rotation.
+                let sign = recorded[3].signum() * given[3].signum();
+                for (k, (recorded, given)) in recorded.iter().zip(given).enumerate() {
+                    let recorded = if k < 3 { *recorded } else { sign * recorded };
+                    assert!((recorded - given).abs() < 1e-9, "{k}: {recorded} {given}");
+                }
+                assert!(channel.metadata["offered_qos_profiles"].contains("durability: 1"));
+            }
+            _ => {
+                assert_eq!((cdr.text().as_str(), cdr.u32()), ("", 1));
+                assert!(message.data.windows(7).any(|bytes| bytes == b"tracked"));
+            }
+        }
+        *at += 1;
+    }
+    let expected = [("/diagnostics", FRAMES), ("/odometry", FRAMES), ("/tf", FRAMES), ("/tf_static", 1)];
+    assert_eq!(counts, expected.map(|(topic, count)| (topic.to_owned(), count)).into());
+    // Our own reader knows it.
+    let (text, _) = done(here, "info poses.mcap");
+    assert!(text.contains("/odometry  nav_msgs/msg/Odometry, 40 messages"), "{text}");
+    // It is not overwritten unasked.
+    let output = odograph(here, "run robot.mcap --height 1.0 --bag-out poses.mcap -o other");
+    let message = String::from_utf8_lossy(&output.stderr).into_owned();
+    assert!(output.status.code() == Some(2) && message.contains("poses.mcap is already there"), "{message}");
+    assert!(!here.join("other").exists());
+}
+
+#[test]
+fn info_tells_what_is_in_a_recording_and_what_for() {
+    let place = tempfile::tempdir().unwrap();
+    let here = place.path();
+    write(&here.join("drive.mcap"), &["/front/image_raw"]);
+    fs::write(here.join("drive.y4m"), recording::y4m(5)).unwrap();
+    fs::write(here.join("camera.yaml"), recording::CAMERA).unwrap();
+    recording::picture_folder(&here.join("frames"), 3, recording::PngPicture::gray8);
+    let (text, _) = done(here, "info drive.mcap --camera camera.yaml");
+    for words in [
+        "drive.mcap: an MCAP file, 3 topics\n",
+        "/front/image_raw  sensor_msgs/msg/Image, 320x240 mono8, 40 frames, 1.30 s, 30.00 Hz\n",
+        "    odograph run drive.mcap --topic /front/image_raw\n",
+        "    its camera is in /front/camera_info\n",
+        "    the camera file fits\n",
+        "    odograph run … --range-topic /sonar\n",
+    ] {
+        assert!(text.contains(words), "{words}: {text}");
+    }
+    let (json, _) = done(here, "info drive.mcap --json");
+    let value: serde_json::Value = serde_json::from_str(&json).unwrap();
+    let images = &value["streams"][1];
+    assert_eq!((images["topic"].as_str(), images["count"].as_u64()), (Some("/front/image_raw"), Some(40)));
+    assert_eq!(images["option"].as_str(), Some("--topic /front/image_raw"));
+    assert_eq!(images["camera"]["fx"].as_f64(), Some(300.0));
+    assert!((images["first_s"].as_f64().unwrap() - 1.7e9).abs() < 1e-6 && images["camera_fits"].is_null());
+
+    let (text, _) = done(here, "info drive.y4m --camera camera.yaml");
+    assert!(
+        text.contains("320x240, 5 frames, 30.00 Hz\n") && text.contains("the camera file fits"),
+        "{text}"
+    );
+    let (text, _) = done(here, "info frames");
+    assert!(
+        text.contains("320x240, 3 frames\n")
+            && text.contains("    odograph run frames --camera FILE --height LENGTH\n"),
+        "{text}"
+    );
+    let output = odograph(here, "info camera.yaml");
+    assert_eq!(output.status.code(), Some(3));
+}
+
+#[test]
+fn the_fixes_of_a_recording_place_its_path_on_earth() {
+    let place = tempfile::tempdir().unwrap();
+    let here = place.path();
+    write(&here.join("plain.mcap"), &["/front/image_raw"]);
+    done(here, "run plain.mcap --height 1.0 -o plain --quiet");
+    let origin = EarthPosition::from_degrees(48.2082, 16.3738).unwrap();
+    let anchor = Anchor::at(origin, 0.4);
+    let at = |pose: &Vec<f64>| Some(anchor.place(pose[1], pose[2]));
+    let mut fixes: Vec<Option<EarthPosition>> =
+        poses(&here.join("plain/trajectory.tum")).iter().map(at).collect();
+    fixes[3] = None;
+    write_robot(&here.join("drive.mcap"), &["/front/image_raw"], &[], &fixes);
+    let (listed, _) = done(here, "info drive.mcap");
+    assert!(listed.contains("--gnss-topic /gnss/fix"), "{listed}");
+    done(here, "run drive.mcap --height 1.0 --gnss-topic /gnss/fix -o placed --quiet");
+    let statistics = fs::read_to_string(here.join("placed/stats.json")).unwrap();
+    let gnss = &serde_json::from_str::<serde_json::Value>(&statistics).unwrap()["gnss"];
+    assert!(gnss["fixes"] == FRAMES - 1 && gnss["used"] == FRAMES - 1, "{gnss}");
+    assert!((gnss["bearing_deg"].as_f64().unwrap() - 0.4f64.to_degrees()).abs() < 0.05, "{gnss}");
+    assert!(gnss["rmse_m"].as_f64().unwrap() < 1e-3, "{gnss}");
+    let output = odograph(here, "run drive.mcap --height 1.0 --gnss-topic /fix -o refused");
+    let message = String::from_utf8_lossy(&output.stderr).into_owned();
+    assert!(
+        message.contains("there is no topic /fix of the type sensor_msgs/NavSatFix for a satellite receiver"),
+        "{message}"
+    );
+}

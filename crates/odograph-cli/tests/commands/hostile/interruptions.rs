@@ -1,0 +1,126 @@
+//! Runs that are interrupted or killed, and maps that are in use.
+
+use super::recording::{names, y4m};
+use super::run_folder::{HostileFolder, assert_refused, assert_whole};
+use std::fs;
+use std::io::Write;
+use std::process::{Child, Command, Stdio};
+use std::time::{Duration, Instant};
+
+/// Starts a run on standard input, sends 40 frames, and waits until a block of them is on disk.
+fn begun(place: &HostileFolder, arguments: &str) -> Child {
+    let mut command = place.command(&format!("- --camera camera.yaml --height 1 -o out {arguments}"));
+    let mut child =
+        command.stdin(Stdio::piped()).stdout(Stdio::piped()).stderr(Stdio::piped()).spawn().unwrap();
+    child.stdin.as_mut().unwrap().write_all(&y4m(40)).unwrap();
+    let part = place.path("out/trajectory.csv.part");
+    let patience = Instant::now() + Duration::from_secs(120);
+    while fs::metadata(&part).map_or(0, |metadata| metadata.len()) == 0 {
+        assert!(Instant::now() < patience, "nothing on disk after two minutes");
+        std::thread::sleep(Duration::from_millis(5));
+    }
+    child
+}
+
+#[test]
+#[cfg(unix)]
+fn an_interrupt_ends_the_run_and_writes_everything() {
+    for threads in ["1", "3"] {
+        let place = HostileFolder::new();
+        let mut child = begun(&place, &format!("--threads {threads}"));
+        // Twice at once, as `timeout` does: that is one request.
+        let twice = format!("kill -INT {0} && kill -INT {0}", child.id());
+        let sent = Command::new("sh").args(["-c", &twice]).status().unwrap();
+        assert!(sent.success());
+        // The interrupt is checked between frames, so the stream stays open until the program ends.
+        let mut stream = child.stdin.take().unwrap();
+        let header = y4m(0).len();
+        let frames = &y4m(2)[header..];
+        while child.try_wait().unwrap().is_none() && stream.write_all(frames).is_ok() {}
+        drop(stream);
+        let done = child.wait_with_output().unwrap();
+        assert_eq!(done.status.code(), Some(130), "{}", String::from_utf8_lossy(&done.stderr));
+        assert_whole(&place.path("out"));
+        let text = |name: &str| String::from_utf8(place.result("out", name)).unwrap();
+        assert!(text("stats.json").contains("\"interrupted\": true"));
+        let frames = text("trajectory.csv").lines().count() - 1;
+        let interruption = format!("interrupted after {frames} frames");
+        assert!(String::from_utf8_lossy(&done.stderr).contains(&interruption));
+        assert!(text("report.html").contains(&interruption));
+    }
+}
+
+#[test]
+fn a_killed_run_leaves_the_frames_so_far() {
+    let place = HostileFolder::new();
+    let mut child = begun(&place, "");
+    child.kill().unwrap();
+    child.wait().unwrap();
+    // The map so far, with the log that SQLite merges when the file is next opened.
+    let left = ["map.gpkg", "map.gpkg-shm", "map.gpkg-wal", "map.gpkg.lock", "trajectory.csv.part"];
+    assert_eq!(names(&place.path("out")), left);
+    let text = fs::read_to_string(place.path("out/trajectory.csv.part")).unwrap();
+    assert!(text.lines().count() > 30 && text.ends_with('\n'), "{text}");
+    // That map is not overwritten without `--force`, but it can be continued. With `--force` the
+    // folder is replaced.
+    fs::write(place.path("drive.y4m"), y4m(6)).unwrap();
+    let message = "out has a run that did not end; odograph view out shows what it has, and --force";
+    assert_refused(&place.run_usual("drive.y4m"), 2, message, "a second run");
+    fs::rename(place.path("out/map.gpkg"), place.path("kept.gpkg")).unwrap();
+    for log in ["-shm", "-wal"] {
+        fs::rename(place.path(&format!("out/map.gpkg{log}")), place.path(&format!("kept.gpkg{log}")))
+            .unwrap();
+    }
+    let done = place.run("drive.y4m --camera camera.yaml --height 1 -o next --map kept.gpkg -q");
+    assert!(done.status.success(), "{}", String::from_utf8_lossy(&done.stderr));
+    assert!(!place.path("next/map.gpkg").exists(), "there is one map");
+    // The map contains the camera and its mount.
+    let known = |folder: &str| {
+        let plan = fs::read_to_string(place.path(&format!("{folder}/run.toml"))).unwrap();
+        let table =
+            plan.split("[camera]").nth(1).map(|rest| rest.split("[odometry").next().unwrap().to_owned());
+        table.expect("the camera")
+    };
+    let done = place.run("drive.y4m -o without --map kept.gpkg -q");
+    assert!(done.status.success(), "{}", String::from_utf8_lossy(&done.stderr));
+    assert_eq!(known("without"), known("next"));
+    assert_refused(&place.run("drive.y4m -o x --map new.gpkg"), 2, "no camera is given", "a map that is new");
+    // Its frames are not overwritten either, where its map was another one.
+    assert_eq!(names(&place.path("out")), ["map.gpkg.lock", "trajectory.csv.part"]);
+    assert_refused(&place.run("drive.y4m -o out --map kept.gpkg"), 2, message, "over the frames");
+    assert_eq!(fs::read_to_string(place.path("out/trajectory.csv.part")).unwrap(), text);
+    let done = place.run("drive.y4m --camera camera.yaml --height 1 -o out --force");
+    assert!(done.status.success(), "{}", String::from_utf8_lossy(&done.stderr));
+    assert_whole(&place.path("out"));
+}
+
+#[test]
+fn a_map_in_use_is_refused_before_any_work() {
+    let place = HostileFolder::new();
+    fs::write(place.path("drive.y4m"), y4m(6)).unwrap();
+    let mut other = begun(&place, "--map hall.gpkg");
+    let holder = format!("being written by another program (process {})", other.id());
+    place.refused("drive.y4m --camera camera.yaml --height 1 -o second --map hall.gpkg", 3, &holder);
+    // The folder of a map in use is not overwritten, not even with `--force`.
+    place.refused("drive.y4m --camera camera.yaml --height 1 -o out --force", 3, &holder);
+    drop(other.stdin.take());
+    let done = other.wait_with_output().unwrap();
+    assert!(done.status.success(), "{}", String::from_utf8_lossy(&done.stderr));
+    assert!(place.result("out", "trajectory.tum").len() > 1000);
+    let again = place.run("drive.y4m --camera camera.yaml --height 1 -o second --map hall.gpkg -q");
+    assert!(again.status.success(), "{}", String::from_utf8_lossy(&again.stderr));
+}
+
+#[test]
+fn an_empty_map_of_a_killed_run_is_replaced() {
+    let place = HostileFolder::new();
+    fs::write(place.path("drive.y4m"), y4m(6)).unwrap();
+    fs::write(place.path("hall.gpkg"), "").unwrap();
+    fs::create_dir(place.path("out")).unwrap();
+    fs::write(place.path("out/map.gpkg"), "").unwrap();
+    let done = place.run("drive.y4m --camera camera.yaml --height 1 -o with --map hall.gpkg -q");
+    assert!(done.status.success(), "{}", String::from_utf8_lossy(&done.stderr));
+    assert!(fs::metadata(place.path("hall.gpkg")).unwrap().len() > 0);
+    assert!(place.run_usual("drive.y4m").status.success());
+    assert_whole(&place.path("out"));
+}

@@ -1,0 +1,10 @@
+//! `odograph run` on unsuitable input: one sentence, the right exit code, no panic, no partial
+//! files.
+
+mod commands;
+mod inputs;
+mod interruptions;
+mod outputs;
+mod plans;
+pub mod recording;
+mod run_folder;

@@ -1,0 +1,216 @@
+//! Output folders, full disks, and what a run writes.
+
+use super::recording::{names, y4m};
+use super::run_folder::{FILES, HostileFolder, assert_refused, assert_whole};
+use std::fs;
+use std::path::Path;
+use std::process::{Command, Stdio};
+
+#[test]
+fn invalid_outputs_are_refused() {
+    let place = HostileFolder::new();
+    fs::write(place.path("drive.y4m"), y4m(6)).unwrap();
+    fs::write(place.path("file"), "mine").unwrap();
+    place.refused("drive.y4m --camera camera.yaml --height 1 -o file", 2, "file is a file");
+    // Below a file, and where even root cannot write.
+    place.refused("drive.y4m --camera camera.yaml --height 1 -o file/out", 3, "file/out cannot be made");
+    if Path::new("/proc/self").exists() {
+        place.refused(
+            "drive.y4m --camera camera.yaml --height 1 -o /proc/odograph",
+            3,
+            "/proc/odograph cannot be made",
+        );
+    }
+    assert_eq!(fs::read(place.path("file")).unwrap(), b"mine");
+    // Parent folders created for the run are removed.
+    place.refused("none.mp4 --camera camera.yaml --height 1 -o a/b/c", 3, "none.mp4");
+    // Existing results are unchanged.
+    assert!(place.run_usual("drive.y4m").status.success());
+    let before = place.result("out", "stats.json");
+    place.refused_usual("drive.y4m", 2, "is already there; choose another folder, or --force");
+    place.refused("none.mp4 --camera camera.yaml --height 1 -o out --force", 3, "none.mp4");
+    assert_eq!(place.result("out", "stats.json"), before);
+    assert_whole(&place.path("out"));
+    let again = place.run("drive.y4m --camera camera.yaml --height 1 -o out --force");
+    assert!(again.status.success(), "{again:?}");
+    assert_whole(&place.path("out"));
+}
+
+/// `/dev/full` takes the place of each file in turn.
+#[test]
+#[cfg(unix)]
+fn a_full_disk() {
+    if !Path::new("/dev/full").exists() {
+        println!("skipped: dev-full: there is no /dev/full");
+        return;
+    }
+    let place = HostileFolder::new();
+    fs::write(place.path("drive.y4m"), y4m(40)).unwrap();
+    // The map file is written incrementally; separate tests cover a full disk for it.
+    for name in FILES.into_iter().filter(|&name| name != "map.gpkg") {
+        let out = place.path("out");
+        fs::create_dir(&out).unwrap();
+        // The final trajectory is written to a temporary file beside the growing one, which must
+        // survive a disk that is full at the end.
+        let (beside, stay) = match name {
+            "trajectory.csv" => ("trajectory.csv.new.part".to_owned(), vec!["trajectory.csv.part"]),
+            _ => (format!("{name}.part"), vec![]),
+        };
+        std::os::unix::fs::symlink("/dev/full", out.join(beside)).unwrap();
+        assert_refused(&place.run_usual("drive.y4m"), 3, "No space left on device", name);
+        assert!(!out.join(name).exists(), "{name}");
+        let left = names(&out);
+        let halves: Vec<&String> = left.iter().filter(|left| left.ends_with(".part")).collect();
+        assert_eq!(halves, stay, "{name}");
+        if let Some(grown) = stay.first() {
+            // The header and one line for each of the forty frames.
+            assert_eq!(fs::read_to_string(out.join(grown)).unwrap().lines().count(), 41);
+        }
+        fs::remove_dir_all(&out).unwrap();
+    }
+    let full = fs::OpenOptions::new().write(true).open("/dev/full").unwrap();
+    let mut to_full_disk = place.command("drive.y4m --camera camera.yaml --height 1 -o told --json");
+    assert_refused(
+        &to_full_disk.stdout(full).output().unwrap(),
+        3,
+        "standard output cannot be written",
+        "--json > /dev/full",
+    );
+    assert_whole(&place.path("told"));
+}
+
+/// A small file system that really runs full.
+#[test]
+#[cfg(target_os = "linux")]
+fn a_full_file_system() {
+    let place = HostileFolder::new();
+    fs::write(place.path("drive.y4m"), y4m(40)).unwrap();
+    let mounted = place.path("small");
+    fs::create_dir(&mounted).unwrap();
+    let mount = Command::new("mount")
+        .args(["-t", "tmpfs", "-o", "size=20k", "tmpfs"])
+        .arg(&mounted)
+        .stderr(Stdio::null())
+        .status();
+    if !mount.is_ok_and(|status| status.success()) {
+        println!("skipped: mount: a small file system cannot be mounted here");
+        return;
+    }
+    let done = place.run("drive.y4m --camera camera.yaml --height 1 -o small/out");
+    let left = if mounted.join("out").exists() { names(&mounted.join("out")) } else { Vec::new() };
+    assert!(Command::new("umount").arg(&mounted).status().unwrap().success());
+    assert_refused(&done, 3, "cannot be written", "a file system of 20 KiB");
+    assert!(left.iter().all(|name| !name.ends_with(".part")), "{left:?}");
+}
+
+#[test]
+fn the_reason_of_a_loss_is_printed() {
+    let place = HostileFolder::new();
+    let mut video = y4m(60);
+    let frames: Vec<usize> =
+        video.windows(6).enumerate().filter(|(_, it)| it == b"FRAME\n").map(|(at, _)| at + 6).collect();
+    // Black from frame 30 to 44.
+    for &at in &frames[30..45] {
+        let luma = frames[1] - frames[0] - 6;
+        video[at..at + luma].fill(16);
+    }
+    fs::write(place.path("drive.y4m"), video).unwrap();
+    let done = place.run("drive.y4m --camera camera.yaml --height 1 --motion rigid -o out");
+    let message = String::from_utf8_lossy(&done.stderr).into_owned();
+    let note = message.lines().find(|line| line.starts_with("note: lost from "));
+    assert!(note.is_some_and(|note| note.contains("too dark to see anything")), "{message}");
+}
+
+#[test]
+fn progress_is_printed_as_lines_of_json() {
+    let place = HostileFolder::new();
+    fs::write(place.path("drive.y4m"), y4m(40)).unwrap();
+    let done =
+        place.run("drive.y4m --camera camera.yaml --height 1 --motion rigid -o out -q --progress json");
+    assert!(done.status.success(), "{done:?}");
+    let lines: Vec<serde_json::Value> = String::from_utf8(done.stderr)
+        .unwrap()
+        .lines()
+        .map(|line| serde_json::from_str(line).unwrap())
+        .collect();
+    let frames: Vec<u64> = lines.iter().map(|line| line["frames"].as_u64().unwrap()).collect();
+    assert_eq!(frames, [0, 30, 40]);
+    assert!(lines.iter().all(|line| line["lost"] == 0 && line.get("of").is_some()), "{lines:?}");
+}
+
+#[test]
+fn results_are_identical_for_repetitions_and_thread_counts() {
+    let place = HostileFolder::new();
+    fs::write(place.path("drive.y4m"), y4m(40)).unwrap();
+    assert!(place.run_usual("drive.y4m").status.success());
+    assert!(place.run("out/run.toml -o again").status.success());
+    for threads in ["1", "2", "3"] {
+        let done = place.run(&format!(
+            "drive.y4m --camera camera.yaml --height 1.0 -o threads{threads} --threads {threads}"
+        ));
+        assert!(done.status.success(), "{done:?}");
+    }
+    assert!(String::from_utf8_lossy(&place.result("out", "trajectory.csv")).contains("tracked"));
+    for folder in ["again", "threads1", "threads2", "threads3"] {
+        assert_whole(&place.path(folder));
+        for name in FILES.iter().filter(|&&name| name != "stats.json") {
+            assert!(place.result(folder, name) == place.result("out", name), "{folder}/{name} differs");
+        }
+    }
+}
+
+#[test]
+fn a_blank_recording_has_results_without_poses() {
+    let place = HostileFolder::new();
+    let mut blank = y4m(0);
+    for _ in 0..10 {
+        blank.extend_from_slice(b"FRAME\n");
+        blank.extend(vec![90; 320 * 240]);
+    }
+    fs::write(place.path("blank.y4m"), blank).unwrap();
+    fs::write(place.path("drive.y4m"), y4m(6)).unwrap();
+    let done = place.run_usual("blank.y4m");
+    let message = String::from_utf8(done.stderr).unwrap();
+    assert_eq!(done.status.code(), Some(4), "{message}");
+    assert!(message.contains("could not be measured in") && message.lines().count() == 2, "{message}");
+    assert!(message.contains("note: lost from 0.00 to 0.30 s: too little texture to track"), "{message}");
+    // Without poses there is no mosaic and no map; all other files exist.
+    let wanted: Vec<&str> =
+        FILES.into_iter().filter(|&name| !(name.starts_with("mosaic") || name == "map.gpkg")).collect();
+    assert_eq!(names(&place.path("out")), wanted);
+    // And no files of an earlier run remain.
+    assert!(place.run("drive.y4m --camera camera.yaml --height 1 -o over").status.success());
+    assert_eq!(place.run("blank.y4m --camera camera.yaml --height 1 -o over --force").status.code(), Some(4));
+    assert_eq!(names(&place.path("over")), wanted);
+}
+
+#[test]
+fn a_demo_overwrites_no_foreign_files() {
+    let place = HostileFolder::new();
+    fs::create_dir(place.path("mine")).unwrap();
+    fs::write(place.path("mine/trajectory.tum"), "mine").unwrap();
+    let mut demo = Command::new(env!("CARGO_BIN_EXE_odograph"));
+    let done = demo.current_dir(place.path("")).args(["demo", "-o", "mine"]).output().unwrap();
+    assert_refused(&done, 2, "mine/trajectory.tum is already there", "demo -o mine");
+    assert_eq!(names(&place.path("mine")), ["trajectory.tum"]);
+    // Nor over an input that somebody has changed, nor over a demo before it.
+    fs::create_dir_all(place.path("changed/input")).unwrap();
+    fs::write(place.path("changed/input/camera.yaml"), "mine").unwrap();
+    let mut demo = Command::new(env!("CARGO_BIN_EXE_odograph"));
+    let done = demo.current_dir(place.path("")).args(["demo", "-o", "changed"]).output().unwrap();
+    assert_refused(&done, 2, "changed/input/camera.yaml is already there", "demo -o changed");
+    assert_eq!(fs::read(place.path("changed/input/camera.yaml")).unwrap(), b"mine");
+}
+
+#[test]
+#[cfg(unix)]
+fn a_closed_output_pipe_is_no_failure() {
+    let place = HostileFolder::new();
+    fs::write(place.path("drive.y4m"), y4m(6)).unwrap();
+    let (reader, writer) = std::io::pipe().unwrap();
+    drop(reader);
+    let done =
+        place.command("drive.y4m --camera camera.yaml --height 1 -o out").stdout(writer).output().unwrap();
+    assert!(done.status.success() && done.stderr.is_empty(), "{done:?}");
+    assert_whole(&place.path("out"));
+}

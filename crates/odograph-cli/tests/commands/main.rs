@@ -1,0 +1,25 @@
+//! Black-box tests of the program, a module for a command or a topic. They are one binary: linking
+//! takes as long as compiling them.
+
+// a test fails by panicking, and prints why it is skipped
+#![allow(clippy::unwrap_used, clippy::print_stdout)]
+
+mod bags;
+mod board;
+mod calibrate;
+mod camera;
+mod doctor;
+mod evaluate;
+mod gnss;
+mod ground;
+mod hostile;
+mod many;
+mod map;
+mod profile;
+mod recordings;
+mod robot;
+mod sensors;
+mod simulate;
+mod site;
+mod undistort;
+mod usage;

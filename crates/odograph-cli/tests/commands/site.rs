@@ -1,0 +1,96 @@
+//! End-to-end tests of `odograph site`: two robots, a server that is killed, and one map.
+
+use serde_json::Value;
+use std::io::{BufRead, BufReader};
+use std::path::Path;
+use std::process::{Child, Command, Output, Stdio};
+
+/// The bundled drive with its camera and rig.
+const DEMO: &str = concat!(env!("CARGO_MANIFEST_DIR"), "/demo");
+
+fn odograph(folder: &Path, arguments: &str) -> Command {
+    let mut command = Command::new(env!("CARGO_BIN_EXE_odograph"));
+    command.current_dir(folder).env("ODOGRAPH_FFMPEG", "").stdin(Stdio::null());
+    command.args(arguments.split_whitespace());
+    command
+}
+
+fn done(folder: &Path, arguments: &str) -> Output {
+    let output = odograph(folder, arguments).output().unwrap();
+    assert!(output.status.success(), "{arguments}: {}", String::from_utf8_lossy(&output.stderr));
+    output
+}
+
+/// A running `site serve`; it is killed when dropped.
+struct Serving {
+    child: Child,
+    url: String,
+}
+
+impl Serving {
+    fn new(folder: &Path, address: &str) -> Self {
+        let mut child = odograph(folder, &format!("site serve hall --listen {address}"))
+            .stderr(Stdio::piped())
+            .spawn()
+            .unwrap();
+        let mut lines = BufReader::new(child.stderr.take().unwrap()).lines().map_while(Result::ok);
+        let line = lines.find(|line| line.contains("the site is at ")).unwrap();
+        std::thread::spawn(move || lines.for_each(drop));
+        let url = line.split("the site is at ").nth(1).unwrap().split(';').next().unwrap().to_owned();
+        Self { child, url }
+    }
+}
+
+impl Drop for Serving {
+    fn drop(&mut self) {
+        let _ = self.child.kill();
+        let _ = self.child.wait();
+    }
+}
+
+#[test]
+fn two_runs_share_the_map_of_a_site_that_was_killed() {
+    let folder = tempfile::tempdir().unwrap();
+    let folder = folder.path();
+    let drive = std::fs::read_dir(DEMO)
+        .unwrap()
+        .map(|entry| entry.unwrap().path())
+        .find(|path| path.extension().is_some_and(|extension| extension == "mp4"))
+        .unwrap();
+    let run = format!("{} --camera {DEMO}/camera.yaml --rig {DEMO}/rig.toml --quiet", drive.display());
+    let serving = Serving::new(folder, "127.0.0.1:0");
+    let url = serving.url.clone();
+    done(folder, &format!("run {run} -o one --site {url} --robot one"));
+    let status: Value =
+        serde_json::from_slice(&std::fs::read(folder.join("one/site.json")).unwrap()).unwrap();
+    assert_eq!(status["ended"], true);
+    assert!(folder.join("one/map.gpkg").exists() && !folder.join("one/map.gpkg-wal").exists());
+    // Killed, not ended: what it acknowledged is there when it comes back.
+    drop(serving);
+    let output = odograph(folder, &format!("site robots --site {url}")).output().unwrap();
+    assert_eq!(output.status.code(), Some(3));
+    let serving = Serving::new(folder, url.trim_start_matches("http://").trim_end_matches('/'));
+    done(folder, &format!("live {run} -o two --site {url} --robot two"));
+    done(folder, &format!("site send two/map.gpkg --site {url} --robot two"));
+    // The merging thread may still be at it; what it has not merged it merges when it starts again.
+    let connected = || {
+        let state = done(folder, &format!("site robots --site {url} --json"));
+        let state: Value = serde_json::from_slice(&state.stdout).unwrap();
+        let sessions = state["sessions"].as_array().unwrap().clone();
+        sessions.len() == 2 && sessions.iter().all(|session| session["connected"] == true)
+    };
+    assert!((0..600).any(|_| connected()), "both robots saw the same ground");
+    drop(serving);
+    let info = done(folder, "map info hall/map.gpkg --json");
+    let info: Value = serde_json::from_slice(&info.stdout).unwrap();
+    let robots: Vec<&str> = info["sessions"]
+        .as_array()
+        .unwrap()
+        .iter()
+        .map(|session| session["origin"]["robot"].as_str().unwrap())
+        .collect();
+    assert_eq!(robots, ["one", "two"]);
+    for wrong in ["run x.mp4 --site http://h/", "site send one/map.gpkg --site hall --robot one"] {
+        assert_eq!(odograph(folder, wrong).output().unwrap().status.code(), Some(2), "{wrong}");
+    }
+}

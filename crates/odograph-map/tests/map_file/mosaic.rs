@@ -1,0 +1,98 @@
+//! The mosaic of a map compared with the ground that its keyframes saw.
+
+use crate::ground;
+use odograph::camera::Rig;
+use odograph::geometry::GroundPose;
+use odograph::ground_map::KeyframeImage;
+use odograph::image::GrayImage;
+use odograph::mosaic::MosaicPicture;
+use odograph_map::MapFile;
+
+/// The mosaic of twelve keyframes with modified images and with the poses of `misplaced`.
+fn mosaic(
+    change: impl Fn(u64, GrayImage) -> GrayImage,
+    misplaced: impl Fn(u64) -> GroundPose,
+) -> MosaicPicture {
+    let folder = tempfile::tempdir().unwrap();
+    let mut map =
+        MapFile::create(&folder.path().join("map.gpkg"), &ground::camera(), &Rig::level(0.5)).unwrap();
+    for number in 0..12 {
+        let mut keyframe = ground::keyframe(number, 0);
+        keyframe.pose = misplaced(number);
+        let image = KeyframeImage { gray: change(number, ground::image(number).gray), color: None };
+        map.add_keyframe(&keyframe, &image, &[]).unwrap();
+    }
+    map.render_mosaic(Some(0.004), &mut |_| true).unwrap();
+    map.mosaic_picture(usize::MAX).unwrap().unwrap()
+}
+
+/// Mean brightness of completely visible windows of 16 × 16 pixels.
+fn windows(picture: &MosaicPicture) -> Vec<((usize, usize), f64)> {
+    let mut found = Vec::new();
+    for row in (0..picture.height.saturating_sub(16)).step_by(16) {
+        for column in (0..picture.width.saturating_sub(16)).step_by(16) {
+            let pixels = (0..256).map(|k| 4 * ((row + k / 16) * picture.width + column + k % 16));
+            let pixels: Vec<&[u8]> = pixels.map(|at| &picture.rgba[at..at + 4]).collect();
+            if pixels.iter().all(|pixel| pixel[3] == 255) {
+                found.push((
+                    (column, row),
+                    pixels.iter().map(|pixel| f64::from(pixel[0])).sum::<f64>() / 256.0,
+                ));
+            }
+        }
+    }
+    found
+}
+
+#[test]
+fn exposure_and_vignetting_are_compensated() {
+    let even = mosaic(|_, image| image, ground::pose);
+    // Relative exposures from 0.8 to 1.05, and vignetting of 30 % in the corners.
+    let uneven = mosaic(
+        |number, mut image| {
+            let exposure = [1.0, 0.8, 0.95, 0.85, 1.05][number as usize % 5];
+            for (k, sample) in image.samples_mut().iter_mut().enumerate() {
+                let (x, y) = ((k % 160) as f64 - 79.5, (k / 160) as f64 - 59.5);
+                *sample =
+                    (f64::from(*sample) * exposure * (1.0 - 0.3 * (x * x + y * y) / 10_000.0)).round() as u8;
+            }
+            image
+        },
+        ground::pose,
+    );
+    assert_eq!((even.width, even.height), (uneven.width, uneven.height));
+    let mut ratios: Vec<f64> = windows(&even).iter().zip(windows(&uneven)).map(|(a, b)| b.1 / a.1).collect();
+    assert!(ratios.len() > 100, "{}", ratios.len());
+    ratios.sort_by(f64::total_cmp);
+    let median = ratios[ratios.len() / 2];
+    // Uncompensated, the ratios range from 0.6 to 1. The rest is because the vignetting is not
+    // exactly the exponential of a square.
+    let (least, greatest) =
+        (ratios[ratios.len() / 50] / median, ratios[ratios.len() - 1 - ratios.len() / 50] / median);
+    assert!(least > 0.96 && greatest < 1.04, "{least:.3} to {greatest:.3} of {median:.3}");
+}
+
+#[test]
+fn misaligned_views_are_not_blurred() {
+    let contrast = |picture: &MosaicPicture| {
+        let step =
+            |at: usize| (f64::from(picture.rgba[4 * at]) - f64::from(picture.rgba[4 * at + 4])).powi(2);
+        let inside = (0..picture.width * picture.height - 1)
+            .filter(|at| picture.rgba[4 * at + 3] == 255 && picture.rgba[4 * at + 7] == 255);
+        let steps: Vec<f64> = inside.map(step).collect();
+        (steps.iter().sum::<f64>() / steps.len() as f64).sqrt()
+    };
+    let exact = mosaic(|_, image| image, ground::pose);
+    // Each keyframe is displaced by one or two pixels: averaging all views would lose much of the
+    // texture's contrast.
+    let off = mosaic(
+        |_, image| image,
+        |number| {
+            let pose = ground::pose(number);
+            let (sin, cos) = (2.4 * number as f64).sin_cos();
+            GroundPose { x_m: pose.x_m + 0.006 * cos, y_m: pose.y_m + 0.006 * sin, ..pose }
+        },
+    );
+    let kept = contrast(&off) / contrast(&exact);
+    assert!(kept > 0.85, "{kept}");
+}

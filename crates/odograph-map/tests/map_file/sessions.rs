@@ -1,0 +1,149 @@
+//! Maps of several robots: each session with its camera and its origin.
+
+use crate::ground::{camera, edge_to, image, keyframe};
+use odograph::camera::{Camera, Distortion, LeverArm, Rig};
+use odograph::ground_map::{KeyframeImage, KeyframeImages, MountedCamera};
+use odograph::image::GrayImage;
+use odograph::keyframe::{EdgeKind, KeyframeId, MapEdge};
+use odograph_map::{MapFile, Outbox, OutgoingRecord, repair};
+use std::path::Path;
+
+fn other() -> MountedCamera {
+    let lens = Distortion::from_opencv(&[0.02, -0.01, 0.0, 0.0]).unwrap();
+    MountedCamera {
+        camera: Camera::new((96, 72), (80.0, 80.0), (47.5, 35.5), lens).unwrap(),
+        rig: Rig { lever_arm: Some(LeverArm { x_m: 0.1, y_m: 0.0, z_m: 0.8 }), ..Rig::level(0.9) },
+    }
+}
+
+fn small_image() -> KeyframeImage {
+    KeyframeImage { gray: GrayImage::from_samples(96, 72, vec![90; 96 * 72]).unwrap(), color: None }
+}
+
+fn loop_between(from: u64, to: u64) -> MapEdge {
+    MapEdge { from: KeyframeId(from), to: KeyframeId(to), kind: EdgeKind::Loop, ..edge_to(1) }
+}
+
+fn version(path: &Path) -> i64 {
+    let connection = rusqlite::Connection::open(path).unwrap();
+    connection.query_row("SELECT schema_version FROM odograph_map", [], |row| row.get(0)).unwrap()
+}
+
+/// A map with a session of the first camera, and one of another.
+fn with_two_cameras(path: &Path) {
+    let mut map = MapFile::create(path, &camera(), &Rig::level(0.5)).unwrap();
+    let first = map.begin_session("a.mp4").unwrap();
+    map.add_keyframe(&keyframe(0, first), &image(0), &[]).unwrap();
+    map.close().unwrap();
+    assert_eq!(version(path), 1, "a map of one camera is one that older programs read");
+    let mut map = MapFile::open(path).unwrap();
+    let second = map.begin_session_by("cart-2", "b.mp4", Some(&other())).unwrap();
+    map.add_keyframe(&keyframe(1, second), &small_image(), &[]).unwrap();
+    map.add_keyframe(&keyframe(2, second), &small_image(), &[edge_to(2)]).unwrap();
+    let wrong = map.add_keyframe(&keyframe(3, second), &image(3), &[]).unwrap_err().to_string();
+    assert!(wrong.contains("160x120 pixels, the map's camera 96x72"), "{wrong}");
+    map.close().unwrap();
+    assert_eq!(version(path), 2);
+}
+
+fn check_two_cameras(map: &mut MapFile) {
+    map.check().unwrap();
+    let ground = map.map().unwrap();
+    assert_eq!((&ground.camera, ground.rig), (&camera(), Rig::level(0.5)));
+    assert_eq!((ground.camera_of(1), ground.rig_of(1)), (&other().camera, &other().rig));
+    assert_eq!(ground.camera_of(0), &camera());
+    assert_eq!(map.load(KeyframeId(2)).unwrap().gray.width(), 96);
+    let sessions = map.sessions().unwrap();
+    assert_eq!(sessions[0].origin, None);
+    let origin = sessions[1].origin.as_ref().unwrap();
+    assert_eq!((origin.robot.as_str(), origin.key.len()), ("cart-2", 32));
+    assert_eq!([0, 1, 2].map(|id| map.number_of(KeyframeId(id)).unwrap()), [None, Some(0), Some(1)]);
+}
+
+#[test]
+fn sessions_keep_their_own_camera_and_origin() {
+    let folder = tempfile::tempdir().unwrap();
+    let path = folder.path().join("map.gpkg");
+    with_two_cameras(&path);
+    check_two_cameras(&mut MapFile::open_read_only(&path).unwrap());
+    // The picture of the ground is made of both.
+    let mut map = MapFile::open(&path).unwrap();
+    assert!(map.render_mosaic(None, &mut |_| true).unwrap());
+    map.remove_keyframes(&[KeyframeId(1)], &[]).unwrap();
+    assert_eq!(map.number_of(KeyframeId(1)).unwrap(), None);
+}
+
+#[test]
+fn a_repaired_map_keeps_cameras_and_origins() {
+    let folder = tempfile::tempdir().unwrap();
+    let (path, repaired) = (folder.path().join("map.gpkg"), folder.path().join("repaired.gpkg"));
+    with_two_cameras(&path);
+    let origin = MapFile::open_read_only(&path).unwrap().sessions().unwrap().remove(1).origin;
+    repair(&path, &repaired, &mut || true).unwrap();
+    let mut map = MapFile::open_read_only(&repaired).unwrap();
+    check_two_cameras(&mut map);
+    assert_eq!(map.sessions().unwrap().remove(1).origin, origin);
+}
+
+#[test]
+fn a_robot_needs_a_plain_name() {
+    let folder = tempfile::tempdir().unwrap();
+    let mut map = MapFile::create(&folder.path().join("map.gpkg"), &camera(), &Rig::level(0.5)).unwrap();
+    for name in ["", "-a", "a b", "a/b", "größe", "a\n", &"x".repeat(65)] {
+        assert!(map.begin_session_by(name, "a.mp4", None).is_err(), "{name:?}");
+    }
+    assert!(map.sessions().unwrap().is_empty());
+    map.begin_session_by("Cart_2.b", "a.mp4", None).unwrap();
+}
+
+/// Reads everything there is, `most` records at a time.
+fn read(outbox: &mut Outbox, map: &MapFile, most: usize) -> Vec<OutgoingRecord> {
+    let mut records = Vec::new();
+    loop {
+        let next = outbox.next(map, most).unwrap();
+        if next.is_empty() {
+            return records;
+        }
+        records.extend(next);
+    }
+}
+
+#[test]
+fn records_are_the_same_whenever_they_are_read() {
+    let folder = tempfile::tempdir().unwrap();
+    let path = folder.path().join("map.gpkg");
+    let mut map = MapFile::create(&path, &camera(), &Rig::level(0.5)).unwrap();
+    // Keyframes of an earlier session, so that numbers are not ids.
+    let before = map.begin_session("before.mp4").unwrap();
+    map.add_keyframe(&keyframe(0, before), &image(0), &[]).unwrap();
+    let session = map.begin_session_by("cart", "a.mp4", None).unwrap();
+    let origin = map.sessions().unwrap()[1].origin.clone().unwrap();
+    let mut early = Outbox::new(&map, &origin).unwrap();
+    assert!(early.next(&map, 10).unwrap().is_empty());
+    let mut records = Vec::new();
+    for id in 1..6 {
+        let tie = if id > 1 { vec![edge_to(id)] } else { vec![] };
+        map.add_keyframe(&keyframe(id, session), &image(id), &tie).unwrap();
+        // What is found about a keyframe after it was added belongs to the next one.
+        records.extend(read(&mut early, &map, 3));
+        if id == 3 {
+            map.add_edges(&[loop_between(3, 1), loop_between(3, 0)]).unwrap();
+        }
+    }
+    map.add_edges(&[loop_between(5, 2)]).unwrap();
+    assert_eq!(records.iter().map(|record| record.number).collect::<Vec<_>>(), [0, 1, 2, 3, 4]);
+    let ends = |record: &OutgoingRecord| -> Vec<_> {
+        record.edges.iter().map(|edge| (edge.from.0, edge.to.0)).collect()
+    };
+    // The loop to the earlier session is not one of this session.
+    assert_eq!(
+        records.iter().map(ends).collect::<Vec<_>>(),
+        [vec![], vec![(0, 1)], vec![(1, 2)], vec![(2, 0), (2, 3)], vec![(3, 4)]]
+    );
+    let mut late = Outbox::new(&map, &origin).unwrap();
+    assert_eq!(read(&mut late, &map, 2), records);
+    for outbox in [&mut early, &mut late] {
+        let rest = outbox.rest(&map).unwrap();
+        assert_eq!(rest.iter().map(|edge| (edge.from.0, edge.to.0)).collect::<Vec<_>>(), [(4, 1)]);
+    }
+}

@@ -1,0 +1,194 @@
+//! What a site refuses.
+
+use crate::robots::Robot;
+use odograph_map::{MapFile, Outbox, SessionOrigin};
+use odograph_site::{Site, SiteServer};
+use serde_json::{Value, json};
+use std::io::{Read, Write};
+use std::net::TcpStream;
+use std::path::Path;
+use std::sync::Arc;
+
+const TOKEN: &str = "0123-a-token";
+
+struct Served {
+    site: Arc<Site>,
+    server: SiteServer,
+}
+
+impl Served {
+    fn new(folder: &Path) -> Self {
+        let site = Arc::new(Site::open(folder).unwrap());
+        let address = "127.0.0.1:0".parse().unwrap();
+        let server = SiteServer::start(address, Arc::clone(&site), Some(TOKEN.to_owned())).unwrap();
+        Self { site, server }
+    }
+
+    /// Sends a request, and returns status code and body of the answer.
+    fn ask(&self, method: &str, path: &str, headers: &str, body: &[u8]) -> (u16, String) {
+        let mut stream = TcpStream::connect(self.server.address()).unwrap();
+        let length = body.len();
+        let head = format!(
+            "{method} {path} HTTP/1.1\r\nHost: {}\r\nConnection: close\r\nContent-Length: {length}\r\n{headers}\r\n",
+            self.server.address()
+        );
+        stream.write_all(head.as_bytes()).unwrap();
+        // A server that refuses early may close before it has everything.
+        let _ = stream.write_all(body);
+        let mut answer = Vec::new();
+        let _ = stream.read_to_end(&mut answer);
+        let answer = String::from_utf8_lossy(&answer).into_owned();
+        let status = answer.split(' ').nth(1).and_then(|status| status.parse().ok()).unwrap_or(0);
+        (status, answer.split_once("\r\n\r\n").map_or(String::new(), |(_, body)| body.to_owned()))
+    }
+
+    fn post(&self, path: &str, body: &[u8]) -> (u16, Value) {
+        let (status, body) = self.ask("POST", path, &format!("Authorization: Bearer {TOKEN}\r\n"), body);
+        (status, serde_json::from_str(&body).unwrap_or_default())
+    }
+}
+
+#[test]
+fn only_who_has_the_token_is_answered() {
+    let folder = tempfile::tempdir().unwrap();
+    let served = Served::new(folder.path());
+    let bearer = |token: &str| format!("Authorization: Bearer {token}\r\n");
+    for path in ["/", "/state", "/mosaic.png"] {
+        assert_eq!(served.ask("GET", path, "", b"").0, 403, "{path}");
+        assert_eq!(served.ask("GET", path, &bearer("0123-a-tokem"), b"").0, 403, "{path}");
+        assert_eq!(served.ask("GET", path, &bearer(""), b"").0, 403, "{path}");
+    }
+    for path in ["/sessions", "/records/one/0123456789abcdef0123456789abcdef", "/robots/one/withdraw"] {
+        assert_eq!(served.ask("POST", path, "", b"{}").0, 403, "{path}");
+        // Nobody makes a stranger's body wait in memory.
+        assert_eq!(served.ask("POST", path, "", &vec![0; 200 << 10]).0, 403, "{path}");
+        let foreign = format!("{}Origin: http://evil.example\r\n", bearer(TOKEN));
+        assert_eq!(served.ask("POST", path, &foreign, b"{}").0, 403, "{path}");
+    }
+    assert_eq!(served.ask("GET", "/state", &bearer(TOKEN), b"").0, 200);
+    assert_eq!(served.ask("GET", &format!("/?token={TOKEN}"), "", b"").0, 303);
+    assert!(SiteServer::start("0.0.0.0:0".parse().unwrap(), Arc::clone(&served.site), None).is_err());
+}
+
+/// The records of a robot's map as a link sends them, and its description.
+fn sent(folder: &Path) -> (SessionOrigin, Value, Vec<Vec<u8>>) {
+    let robot = Robot { lane: ((0.0, 0.0), 0.0, 60), ..Robot::first() };
+    let path = robot.drive(folder);
+    let file = MapFile::open_read_only(&path).unwrap();
+    let origin = file.sessions().unwrap()[0].origin.clone().unwrap();
+    let description = json!({
+        "robot": origin.robot, "key": origin.key, "source": "drive.mp4",
+        "camera": file.camera(), "rig": file.rig(),
+    });
+    let mut outbox = Outbox::new(&file, &origin).unwrap();
+    let mut records = Vec::new();
+    let mut after = None;
+    for record in outbox.next(&file, 100).unwrap() {
+        let pose = record.keyframe.odometry_pose;
+        let head = json!({
+            "number": record.number, "after": after,
+            "keyframe": {
+                "frame": record.keyframe.frame, "segment": 0, "time_s": record.keyframe.time_s,
+                "pose": [pose.x_m, pose.y_m, pose.heading_rad, pose.height_m, pose.roll_rad, pose.pitch_rad],
+                "tilt_covariance": [0.0, 0.0, 0.0], "colored": record.image.colored,
+                "luma_scale": record.image.luma_scale, "luma_offset": record.image.luma_offset,
+            },
+            "edges": [],
+        });
+        after = Some(record.number);
+        records.push(framed(&head, &record.image.jpeg));
+    }
+    assert!(records.len() > 3);
+    (origin, description, records)
+}
+
+fn framed(head: &Value, image: &[u8]) -> Vec<u8> {
+    let head = head.to_string().into_bytes();
+    let mut bytes = (head.len() as u32).to_le_bytes().to_vec();
+    bytes.extend(&head);
+    bytes.extend((image.len() as u32).to_le_bytes());
+    bytes.extend(image);
+    bytes
+}
+
+#[test]
+fn records_are_taken_once_and_in_order() {
+    let folder = tempfile::tempdir().unwrap();
+    let (origin, description, records) = sent(folder.path());
+    let served = Served::new(&folder.path().join("site"));
+    let path = format!("/records/{}/{}", origin.robot, origin.key);
+    assert_eq!(served.post(&path, &records[0]).0, 404, "a session is described first");
+    let described = served.post("/sessions", description.to_string().as_bytes());
+    assert_eq!((described.0, &described.1["acknowledged"]), (200, &Value::Null));
+    // Not in order: the answer says what is there.
+    assert_eq!(
+        served.post(&path, &records[1]),
+        (
+            409,
+            json!({
+                "problem": "a record does not follow the last one that is stored", "acknowledged": null
+            })
+        )
+    );
+    assert_eq!(served.post(&path, &records[0]).1["acknowledged"], 0);
+    assert_eq!(served.post(&path, &records[2]).1["acknowledged"], 0);
+    // Once more, alone or together with the next, is no harm.
+    assert_eq!(served.post(&path, &records[0]).1["acknowledged"], 0);
+    assert_eq!(served.post(&path, &records[..3].concat()).1["acknowledged"], 2);
+    assert_eq!(served.post("/sessions", description.to_string().as_bytes()).1["acknowledged"], 2);
+    // Another record with the number of one that is there is from a robot of the same name.
+    let mut other = records[1].clone();
+    let at = other.windows(8).position(|eight| eight == b"\"frame\":").unwrap() + 8;
+    other[at] = if other[at] == b'7' { b'8' } else { b'7' };
+    let (status, answer) = served.post(&path, &other);
+    assert_eq!((status, &answer["differs"]), (409, &json!(1)));
+    // Of a body with one bad record nothing is taken.
+    let (status, _) = served.post(&path, &[&records[3][..], b"more"].concat());
+    assert_eq!(status, 422);
+    assert_eq!(served.post(&path, b"").1["acknowledged"], 2);
+}
+
+#[test]
+fn what_no_robot_sends_is_refused() {
+    let folder = tempfile::tempdir().unwrap();
+    let (origin, description, records) = sent(folder.path());
+    let served = Served::new(&folder.path().join("site"));
+    let path = format!("/records/{}/{}", origin.robot, origin.key);
+    let changed = |pointer: &str, value: Value| {
+        let mut description = description.clone();
+        *description.pointer_mut(pointer).unwrap() = value;
+        description.to_string().into_bytes()
+    };
+    for body in [
+        b"not json".to_vec(),
+        b"{}".to_vec(),
+        changed("/robot", json!("../etc")),
+        changed("/key", json!("short")),
+        changed("/rig/height_m", json!(-1.0)),
+        changed("/rig", json!(null)),
+    ] {
+        assert_eq!(served.post("/sessions", &body).0, 422, "{}", String::from_utf8_lossy(&body));
+    }
+    assert_eq!(served.post("/sessions", &vec![b' '; 64 << 10]).0, 413);
+    assert_eq!(served.post("/sessions", description.to_string().as_bytes()).0, 200);
+    let mut no_image = records[0].clone();
+    let at = 8 + u32::from_le_bytes(*no_image.first_chunk::<4>().unwrap()) as usize;
+    no_image[at..].fill(0);
+    for body in [
+        b"x".to_vec(),
+        u32::MAX.to_le_bytes().to_vec(),
+        records[0][..records[0].len() - 1].to_vec(),
+        framed(&json!({ "number": 0, "after": null, "keyframe": null, "edges": [] }), b"image"),
+        // An image that is none.
+        no_image,
+    ] {
+        assert_eq!(served.post(&path, &body).0, 422);
+    }
+    assert_eq!(served.post("/records/one/UPPER", b"").0, 422);
+    assert_eq!(served.post("/records/nobody/0123456789abcdef0123456789abcdef", b"").0, 404);
+    let huge = format!("Authorization: Bearer {TOKEN}\r\nContent-Length: 99999999\r\n");
+    assert!([400, 413].contains(&served.ask("POST", &path, &huge, b"").0));
+    assert_eq!(served.post(&path, b"").1["acknowledged"], Value::Null);
+    assert_eq!(served.post("/nothing", b"").0, 404);
+    assert_eq!(served.ask("PUT", "/sessions", "", b"").0, 405);
+}

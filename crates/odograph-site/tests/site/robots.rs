@@ -1,0 +1,109 @@
+//! Robots with their own cameras and heights over the same rendered ground, and their maps.
+
+use odograph::camera::{Camera, Distortion, Rig};
+use odograph::error::Result;
+use odograph::geometry::GroundPose;
+use odograph::ground_map::{KeyframeImage, KeyframeImages, KeyframeStore, MapKeyframe};
+use odograph::keyframe::{KeyframeId, MapEdge};
+use odograph::loop_closure::LoopClosureConfig;
+use odograph::odometry::{Odometry, OdometryConfig};
+use odograph::slam::Mapper;
+use odograph_map::MapFile;
+use odograph_simulation::{Ground, Renderer, Texture};
+use std::path::{Path, PathBuf};
+use std::sync::LazyLock;
+
+pub const HEIGHT_M: f64 = 0.75;
+
+/// The ground of all robots.
+static GROUND: LazyLock<Ground> = LazyLock::new(|| {
+    let footprint_m = Renderer::new(&Robot::first().camera).footprint_m(HEIGHT_M);
+    Ground::new(Texture::named("asphalt").unwrap(), footprint_m, false, 3).unwrap()
+});
+
+pub struct Robot {
+    pub name: &'static str,
+    pub camera: Camera,
+    pub height_m: f64,
+    /// The height that it was told.
+    pub told_m: f64,
+    /// Begin, heading and number of frames of its lane.
+    pub lane: ((f64, f64), f64, usize),
+}
+
+fn camera(size: (usize, usize), focal_px: f64) -> Camera {
+    let principal = (0.5 * (size.0 as f64 - 1.0), 0.5 * (size.1 as f64 - 1.0));
+    Camera::new(size, (focal_px, focal_px), principal, Distortion::None).unwrap()
+}
+
+impl Robot {
+    pub fn first() -> Self {
+        let camera = camera((320, 240), 250.0);
+        Self { name: "one", camera, height_m: HEIGHT_M, told_m: HEIGHT_M, lane: ((0.0, 0.0), 0.0, 100) }
+    }
+
+    /// With another camera, higher up, on a lane back beside the first one's.
+    pub fn second() -> Self {
+        let camera = camera((400, 300), 330.0);
+        Self { name: "two", camera, height_m: 0.9, told_m: 0.9, lane: ((3.2, -0.15), 3.0, 70) }
+    }
+
+    /// As the second, with a height that is wrong by 6 %.
+    pub fn wrong() -> Self {
+        Self { name: "three", told_m: 1.06 * 0.9, lane: ((0.4, 0.1), 0.05, 70), ..Self::second() }
+    }
+
+    /// Where it is after some distance.
+    pub fn pose(&self, along_m: f64) -> GroundPose {
+        let ((x, y), heading_rad, _) = self.lane;
+        let (sin, cos) = heading_rad.sin_cos();
+        GroundPose {
+            x_m: x + along_m * cos,
+            y_m: y + along_m * sin,
+            heading_rad,
+            ..GroundPose::level(self.height_m)
+        }
+    }
+
+    /// Drives its lane, and writes its map as a run would.
+    pub fn drive(&self, folder: &Path) -> PathBuf {
+        let path = folder.join(format!("{}.gpkg", self.name));
+        let rig = Rig::level(self.told_m);
+        let mut file = MapFile::create(&path, &self.camera, &rig).unwrap();
+        file.begin_session_by(self.name, "drive.mp4", None).unwrap();
+        let config = OdometryConfig::default();
+        let mut mapper = Mapper::new(&self.camera, rig, &config, LoopClosureConfig::default());
+        let mut odometry = Odometry::new(self.camera.clone(), rig, config).unwrap();
+        odometry.record_keyframes();
+        let renderer = Renderer::new(&self.camera);
+        let mut store = Store(file);
+        for frame in 0..self.lane.2 {
+            let image = renderer.gray_view(&GROUND, &self.pose(0.04 * frame as f64));
+            odometry.process(image, frame as f64 / 15.0).unwrap();
+            for event in odometry.take_keyframe_events() {
+                mapper.take(event, None, &mut store).unwrap();
+            }
+        }
+        mapper.finish();
+        store.0.close().unwrap();
+        path
+    }
+}
+
+struct Store(MapFile);
+
+impl KeyframeImages for Store {
+    fn load(&mut self, keyframe: KeyframeId) -> Result<KeyframeImage> {
+        self.0.load(keyframe)
+    }
+}
+
+impl KeyframeStore for Store {
+    fn keep(&mut self, keyframe: &MapKeyframe, image: KeyframeImage, ties: &[MapEdge]) -> Result<()> {
+        self.0.add_keyframe(keyframe, &image, ties)
+    }
+
+    fn tie(&mut self, edge: &MapEdge) -> Result<()> {
+        self.0.add_edges(std::slice::from_ref(edge))
+    }
+}
