@@ -31,8 +31,8 @@ fn ground_below_a_stronger_pattern_is_followed() {
     // The pattern looks like ground until three images have been compared. Then it is found out and
     // learned, and removed from the first keyframe too, so that all is as if it had never been.
     assert!(frames[17..27].iter().all(|frame| frame.estimate.is_none()), "the pattern was followed");
-    for number in 40..70 {
-        let (off_mm, _) = errors(&frames[number], &pose(number));
+    for (number, frame) in frames.iter().enumerate().skip(40) {
+        let (off_mm, _) = errors(frame, &pose(number));
         assert!(off_mm < 2.0, "frame {number}: {off_mm} mm");
     }
     // With the pattern known, from the first frame on.
