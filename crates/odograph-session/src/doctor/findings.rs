@@ -99,6 +99,7 @@ impl Seen<'_> {
         findings.push(self.compression());
         findings.extend(self.shutter());
         findings.push(self.fixed_in_image());
+        findings.extend(self.fixed_pattern());
         findings.extend(self.tilt());
         findings.extend(self.found_lens());
         findings
@@ -378,6 +379,17 @@ impl Seen<'_> {
             format!("{percent:.0} % of the image does not move with the ground{place}"),
             "clean the lens, or mask the parts of the carrier: --mask PICTURE",
         )
+    }
+
+    fn fixed_pattern(&self) -> Option<Finding> {
+        let gray = self.tracking.pattern_gray?;
+        Some(found(
+            "fixed pattern",
+            (gray, "gray levels"),
+            Judgement::Limits,
+            format!("the camera adds a pattern of {gray:.1} gray levels to every image"),
+            "clean the lens and what is before it; give more light; a run subtracts the pattern",
+        ))
     }
 
     /// Where in the image most of what is static lies.

@@ -4,6 +4,7 @@ use super::appearance::Sharpness;
 use crate::plan::RunPlan;
 use odograph::camera::{Camera, PosedCamera, Rig};
 use odograph::error::Result;
+use odograph::fixed_pattern::NonuniformityCorrection;
 use odograph::geometry::{GroundPose, Pixel, length};
 use odograph::motion::MotionModel;
 use odograph::mounting::{CalibrationMonitor, CalibrationUpdate};
@@ -46,6 +47,8 @@ pub struct Tracking {
     pub found: Option<CalibrationUpdate>,
     /// The best known readout time and its standard deviation, seconds.
     pub readout_s: Option<(f64, f64)>,
+    /// Root mean square of a pattern that the camera adds to its images, gray levels.
+    pub pattern_gray: Option<f64>,
 }
 
 impl Tracking {
@@ -59,6 +62,7 @@ impl Tracking {
             agreeing: Vec::new(),
             found: None,
             readout_s: None,
+            pattern_gray: None,
         }
     }
 
@@ -171,6 +175,8 @@ impl Stretch {
         {
             into.found = Some(found);
         }
+        into.pattern_gray =
+            self.odometry.correction().map(NonuniformityCorrection::rms_gray).or(into.pattern_gray);
         if let Some(readout) = self.odometry.readout().filter(|_| self.odometry.readout_matters()) {
             let deviation_s = readout.variance_s2.sqrt();
             if into.readout_s.is_none_or(|(_, known_s)| deviation_s < known_s) {

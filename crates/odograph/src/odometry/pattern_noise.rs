@@ -203,14 +203,13 @@ impl Odometry {
         let noise = &mut self.pattern_noise;
         noise.is_active = true;
         noise.earlier.clear();
-        let Some(correction) = &noise.correction else { return };
-        if let Some(keyframe) = &mut self.keyframe {
-            keyframe.correct(correction, &self.config.detection);
+        // What was found in images with the pattern may have been the pattern.
+        self.fixed.reset();
+        (self.candidate, self.standing) = (None, Default::default());
+        if let (Some(keyframe), Some(correction)) = (&mut self.keyframe, &noise.correction) {
+            keyframe.correct(correction, self.fixed.mask(), &self.config.detection);
             keyframe.prepare(&self.camera);
         }
-        self.candidate = None;
-        self.fixed.reset();
-        self.standing = Default::default();
     }
 }
 

@@ -159,13 +159,18 @@ impl Keyframe {
         }
     }
 
-    /// Subtracts fixed-pattern noise from its image and detects its corners again;
+    /// Subtracts fixed-pattern noise from its image and detects its corners again outside the mask;
     /// [`Keyframe::prepare`] must be called before measuring.
-    pub fn correct(&mut self, correction: &NonuniformityCorrection, detection: &DetectionConfig) {
+    pub fn correct(
+        &mut self,
+        correction: &NonuniformityCorrection,
+        mask: Option<&Arc<ImageMask>>,
+        detection: &DetectionConfig,
+    ) {
         let mut image = self.pyramid.base().clone();
         correction.apply(&mut image);
         self.pyramid.replace(image);
-        self.mask = None;
+        self.mask = mask.cloned();
         self.view = None;
         self.dense = OnceLock::new();
         self.detect_again(detection);
