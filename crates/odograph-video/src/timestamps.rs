@@ -23,7 +23,7 @@ const LATEST_S: f64 = 1e12;
 /// Results have times to the nanosecond.
 const LEAST_STEP_S: f64 = 1e-9;
 /// Largest size of a timestamps file, bytes.
-const MAX_BYTES: u64 = 1 << 30;
+const MAX_BYTES: u64 = 256 << 20;
 
 impl Timestamps {
     /// Reads a timestamps file.
@@ -37,7 +37,11 @@ impl Timestamps {
             _ => Error::input(format!("the timestamps cannot be read: {error}")).at(place),
         })?;
         if text.len() as u64 > MAX_BYTES {
-            return Err(Error::input("a file of timestamps should be smaller than 1 GB").at(path.display()));
+            return Err(Error::input(format!(
+                "the timestamps are larger than {} MiB; it is not the file meant",
+                MAX_BYTES >> 20
+            ))
+            .at(path.display()));
         }
         Self::parse(&text).map_err(|error| error.at(path.display()))
     }

@@ -265,6 +265,7 @@ export class GroundMap {
 
   drawMarks(c, color, paper) {
     c.font = "600 12px system-ui, sans-serif"; c.textBaseline = "middle";
+    const labels = [];
     for (const mark of this.marks) {
       if (mark.x_m === null) continue;
       // Current position of its frame, after loop closures.
@@ -272,7 +273,12 @@ export class GroundMap {
       const x = this.toX(moved ? this.track.get(mark.record, "x") : mark.x_m), y = this.toY(moved ? this.track.get(mark.record, "y") : mark.y_m);
       c.fillStyle = color; c.strokeStyle = paper; c.lineWidth = 2;
       c.beginPath(); c.moveTo(x, y); c.lineTo(x - 6, y - 14); c.arc(x, y - 16, 6.3, Math.PI - .3, .3); c.closePath(); c.fill(); c.stroke();
-      c.strokeStyle = paper; c.lineWidth = 4; c.strokeText(mark.name, x + 10, y - 16); c.fillText(mark.name, x + 10, y - 16);
+      // Names of places close together, such as sessions with one start, stand above each other.
+      const left = x + 10, right = left + c.measureText(mark.name).width;
+      let line = y - 16;
+      for (const label of labels) if (left < label.right && right > label.left && Math.abs(line - label.line) < 15) line = label.line - 15;
+      labels.push({ left, right, line });
+      c.strokeStyle = paper; c.lineWidth = 4; c.strokeText(mark.name, left, line); c.fillText(mark.name, left, line);
     }
   }
 
@@ -296,7 +302,7 @@ export class GroundMap {
 
   drawScale(c, ink, paper) {
     const length = this.round(110), px = length * this.view.scale, x = 16, y = this.height - 18;
-    const text = length >= 1000 ? `${length / 1000} km` : length >= 1 ? `${length} m` : `${+(length * 1000).toPrecision(2)} mm`;
+    const text = length >= 1000 ? `${length / 1000} km` : length >= 1 ? `${length} m` : length >= .01 ? `${+(length * 100).toPrecision(2)} cm` : `${+(length * 1000).toPrecision(2)} mm`;
     c.lineCap = "round"; c.font = "600 12px system-ui, sans-serif"; c.textBaseline = "alphabetic";
     for (const [color, width] of [[paper, 5], [ink, 2]]) {
       c.strokeStyle = color; c.lineWidth = width;

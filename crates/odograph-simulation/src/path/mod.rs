@@ -254,11 +254,16 @@ impl Path {
     }
 }
 
+/// No measure of a path is larger, in its unit.
+const LARGEST: f64 = 1e7;
+
 fn positive(name: &str, value: f64, unit: &str) -> Result<()> {
-    if value.is_finite() && value > 0.0 && value < 1e7 {
+    if value.is_finite() && value > 0.0 && value < LARGEST {
         return Ok(());
     }
-    Err(Error::usage(format!("the path's {name} is {value:?}; it must be a positive number of {unit}")))
+    Err(Error::usage(format!(
+        "the path's {name} is {value:?}; it must be a positive number of {unit}, below {LARGEST}"
+    )))
 }
 
 struct Builder {

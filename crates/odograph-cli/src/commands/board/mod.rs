@@ -58,7 +58,7 @@ those lengths when calibrating.
 
 Examples:
   odograph board --board charuco:8x11:20mm -o board.pdf
-  odograph board --board chessboard:9x6:40mm --paper a3 -o board.svg";
+  odograph board --board chessboard:9x6:40mm --paper a2 -o board.svg";
 
 /// The format, by the extension of the file.
 #[derive(Debug, Clone, Copy)]

@@ -37,7 +37,7 @@ pub struct ExportArguments {
     /// x, degrees.
     #[arg(long, value_name = "ANCHOR", allow_hyphen_values = true, value_parser = clap::value_parser!(AnchorArgument))]
     anchor: Vec<AnchorArgument>,
-    /// The session whose path is written. [default: the only one]
+    /// The session whose path is written as .tum, .kitti or .csv. [default: the only one]
     #[arg(long, value_name = "N")]
     session: Option<u32>,
     /// Largest number of points in a .ply; the mosaic is coarsened to fit.
@@ -56,7 +56,7 @@ const EXAMPLES: &str = "\
 Examples:
   odograph map export map.gpkg -o floor.tif                               # mosaic, in metres
   odograph map export map.gpkg --anchor 48.2082,16.3738,93.5 -o floor.tif # mosaic, UTM
-  odograph map export map.gpkg --anchor 0,0=48.20,16.37 --anchor 12.5,-3=48.21,16.38 -o path.kml
+  odograph map export map.gpkg --anchor 0,0=48.2,16.37 --anchor 9,9=48.20008,16.37012 -o path.kml
   odograph map export map.gpkg -o colmap/                                 # cameras, points";
 
 /// The formats of a picture.
@@ -123,6 +123,11 @@ pub fn export(arguments: &ExportArguments) -> Result<Outcome> {
     if !arguments.anchor.is_empty() && !form.takes_anchor() {
         return Err(Error::usage(
             "--anchor is for .tif, .geojson, .kml and .gpx; the other forms have no place on Earth",
+        ));
+    }
+    if arguments.session.is_some() && !matches!(form, Form::Trajectory(_)) {
+        return Err(Error::usage(
+            "--session is for .tum, .kitti and .csv; the other forms have all sessions of the map",
         ));
     }
     let anchor = anchor_of(&arguments.anchor)?;
