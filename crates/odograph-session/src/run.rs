@@ -12,9 +12,10 @@ use crate::pipeline::{self, Ended, Tracked};
 use crate::plan::RunPlan;
 use crate::reference;
 use crate::report::RunReporter;
-use odograph::error::Result;
+use odograph::error::{Error, Result};
 use odograph_video::{Source, SourceInfo};
 use std::fmt;
+use std::fs;
 use std::path::Path;
 use std::sync::Arc;
 use std::time::Instant;
@@ -30,6 +31,14 @@ impl RunBuilder {
     pub fn open(&self, observer: &dyn Observer) -> Result<Run> {
         self.output.check_bag()?;
         let (path, temporary) = self.output.place()?;
+        let same =
+            |a: &Path, b: &Path| fs::canonicalize(a).is_ok_and(|a| fs::canonicalize(b).is_ok_and(|b| a == b));
+        if same(Path::new(&self.source.path), &path) {
+            return Err(Error::usage(format!(
+                "{} is the folder of the recording; its results need another one (-o)",
+                path.display()
+            )));
+        }
         let folder = OutputFolder::new(&path, &self.output)?;
         let (plan, source) = if self.repeats {
             let plan = RunPlan::read(Path::new(&self.source.path))?;

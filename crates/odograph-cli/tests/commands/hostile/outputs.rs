@@ -1,6 +1,6 @@
 //! Output folders, full disks, and what a run writes.
 
-use super::recording::{names, y4m};
+use super::recording::{PngPicture, names, picture_folder, y4m};
 use super::run_folder::{FILES, HostileFolder, assert_refused, assert_whole};
 use std::fs;
 use std::path::Path;
@@ -22,6 +22,12 @@ fn invalid_outputs_are_refused() {
         );
     }
     assert_eq!(fs::read(place.path("file")).unwrap(), b"mine");
+    // Pictures of a recording and pictures of its results would be one folder.
+    picture_folder(&place.path("frames"), 3, PngPicture::gray8);
+    let before = names(&place.path("frames"));
+    let into_itself = "frames --camera camera.yaml --height 1 --fps 30 -o frames/.";
+    place.refused(into_itself, 2, "is the folder of the recording");
+    assert_eq!(names(&place.path("frames")), before);
     // Parent folders created for the run are removed.
     place.refused("none.mp4 --camera camera.yaml --height 1 -o a/b/c", 3, "none.mp4");
     // Existing results are unchanged.
