@@ -24,6 +24,8 @@ pub struct PatternNoise {
     is_active: bool,
     /// Images an interval apart, with the poses that the tracker gave them.
     earlier: VecDeque<(GrayImage, Option<GroundPose>)>,
+    /// Memory of an image that is no longer needed, for the next one.
+    spare: Option<GrayImage>,
     /// The ground was seen to move and is assumed to go on until this frame.
     moves_until: u64,
     /// The next look is not before this frame, and the time from it to the one after it: a look
@@ -106,10 +108,15 @@ impl PatternNoise {
     }
 
     /// A copy of an image before its correction, if something is to be learned from it.
-    pub fn keep(&self, image: &GrayImage, frame: u64) -> Option<GrayImage> {
+    pub fn keep(&mut self, image: &GrayImage, frame: u64) -> Option<GrayImage> {
         let is_learning = self.correction.is_some() && frame.is_multiple_of(LEARNED_EVERY);
         let is_due = self.is_active || is_learning || frame.is_multiple_of(INTERVAL);
-        is_due.then(|| image.clone())
+        is_due.then(|| {
+            let mut copy = self.spare.take().unwrap_or_else(|| GrayImage::new(0, 0));
+            copy.resize(image.width(), image.height());
+            copy.samples_mut().copy_from_slice(image.samples());
+            copy
+        })
     }
 }
 
@@ -122,22 +129,13 @@ impl Odometry {
         since_last: SinceLast,
     ) {
         let Some(image) = seen else { return };
-        let frame = self.frames;
-        let noise = &mut self.pattern_noise;
-        let moves = since_last == SinceLast::Moved || !noise.is_active && frame < noise.moves_until;
-        if let Some(correction) = noise.correction.as_mut().filter(|_| moves)
-            && (!noise.is_active || correction.strength(&image) > IS_THERE)
-        {
-            correction.learn(&image);
-            if !noise.is_active && correction.samples() >= ENOUGH_SAMPLES {
-                return self.correct_from_now_on();
-            }
-        }
-        if noise.is_active || !frame.is_multiple_of(INTERVAL) {
+        self.learn_from(&image, since_last);
+        if self.pattern_noise.is_active || !self.frames.is_multiple_of(INTERVAL) {
+            self.pattern_noise.spare = Some(image);
             return;
         }
         let motion = self.look_for_motion(&image, pose.as_ref());
-        let noise = &mut self.pattern_noise;
+        let (frame, noise) = (self.frames, &mut self.pattern_noise);
         match motion {
             MotionBelow::NotDue => {}
             MotionBelow::Unclear => noise.look_later(frame),
@@ -156,7 +154,21 @@ impl Odometry {
         }
         noise.earlier.push_back((image, pose));
         if noise.earlier.len() > 2 {
-            noise.earlier.pop_front();
+            noise.spare = noise.earlier.pop_front().map(|(image, _)| image);
+        }
+    }
+
+    /// Adds an image to the mean if the ground has moved since the last one.
+    fn learn_from(&mut self, image: &GrayImage, since_last: SinceLast) {
+        let (frame, noise) = (self.frames, &mut self.pattern_noise);
+        let moves = since_last == SinceLast::Moved || !noise.is_active && frame < noise.moves_until;
+        if let Some(correction) = noise.correction.as_mut().filter(|_| moves)
+            && (!noise.is_active || correction.strength(image) > IS_THERE)
+        {
+            correction.learn(image);
+            if !noise.is_active && correction.samples() >= ENOUGH_SAMPLES {
+                self.correct_from_now_on();
+            }
         }
     }
 
