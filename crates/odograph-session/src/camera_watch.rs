@@ -1,9 +1,8 @@
 //! Detection of a mount or lens that differs from the plan.
 
-use crate::found::{FoundLens, FoundMount};
+use crate::found::{CameraDifference, FoundLens, FoundMount};
 use crate::observer::Observer;
 use crate::output::MapUse;
-use crate::pipeline::CameraDifference;
 use crate::plan::RunPlan;
 use odograph::camera::{Camera, Rig};
 use odograph::error::Result;

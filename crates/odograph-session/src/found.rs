@@ -3,9 +3,17 @@
 use odograph::camera::{Camera, Rig};
 use odograph::fixed_pattern::NonuniformityCorrection;
 use odograph::image::GrayImage;
-use odograph::mounting::{LensMeasurement, TiltMeasurement};
+use odograph::mounting::{CalibrationUpdate, LensMeasurement, TiltMeasurement};
 use odograph::odometry::Odometry;
 use serde::Serialize;
+
+/// What a camera was found to be that the plan does not have; the recording is then tracked again.
+pub enum CameraDifference {
+    /// Another mount or lens.
+    Calibration(Box<CalibrationUpdate>),
+    /// It adds a pattern to its images.
+    FixedPattern(NonuniformityCorrection),
+}
 
 /// The part of the image that was ignored because it is static.
 #[derive(Debug, Clone, PartialEq, Serialize)]

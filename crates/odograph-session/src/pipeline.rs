@@ -2,7 +2,7 @@
 //! kept, so any number of threads gives the same bytes.
 
 use crate::folder::OutputFolder;
-use crate::found::{FixedInImage, FoundLens, FoundMount, FoundReadout};
+use crate::found::{CameraDifference, FixedInImage, FoundLens, FoundMount, FoundReadout};
 use crate::kept_frames::KeptFrames;
 use crate::mapping::Mapping;
 use crate::observer::Observer;
@@ -14,8 +14,7 @@ use crate::timings::Timings;
 use crate::views::{MosaicFrames, Posed};
 use odograph::camera::{Camera, Rig};
 use odograph::error::{Error, Result};
-use odograph::fixed_pattern::NonuniformityCorrection;
-use odograph::mounting::{CalibrationMonitor, CalibrationUpdate};
+use odograph::mounting::CalibrationMonitor;
 use odograph::odometry::{KeyframeEvent, Odometry};
 use odograph::pose_frame::PoseFrame;
 use odograph::trajectory::FrameEstimate;
@@ -66,14 +65,6 @@ pub enum Ended {
     Tracked(Box<Tracked>),
     /// At a frame where it is certain that the camera differs from the plan.
     IsAnother(CameraDifference),
-}
-
-/// What a camera was found to be that the plan does not have.
-pub enum CameraDifference {
-    /// Another mount or lens.
-    Calibration(Box<CalibrationUpdate>),
-    /// It adds a pattern to its images.
-    FixedPattern(NonuniformityCorrection),
 }
 
 /// Processing times of each frame per stage.

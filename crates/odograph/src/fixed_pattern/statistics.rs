@@ -279,8 +279,8 @@ impl GradientStatistics {
             && has_two_directions((xx, xy, yy), f64::from(TWO_DIRECTIONS))
     }
 
-    /// Finds the static cells, dilated so that no patch outside them includes static texture. `noise` is
-    /// the pixel noise variance, gray levels².
+    /// Finds the static cells, dilated so that no patch outside them includes static texture.
+    /// `noise` is the pixel noise variance, gray levels².
     pub fn find_fixed_cells(&mut self, noise: f64) {
         self.sum_up();
         let noise = (GRADIENT_NOISE * noise) as f32;

@@ -1,5 +1,5 @@
-//! Fixed-pattern noise that competes with the ground: a dirty window, the columns of a sensor in the
-//! dark, a thermal camera.
+//! Fixed-pattern noise that competes with the ground: a dirty window, the columns of a sensor in
+//! the dark, a thermal camera.
 //!
 //! Where the pattern is weaker, the static gradients of [`crate::fixed_pattern::FixedPattern`] are
 //! all over the image. Where it is stronger, the tracker follows the pattern, and the camera seems

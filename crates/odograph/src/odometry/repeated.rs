@@ -2,9 +2,9 @@
 //! codec that skips.
 //!
 //! A copy shows where the camera was, not where it is. Its pose is extrapolated, as uncertain as
-//! the last extrapolations were wrong. After a few copies in a row either the camera stands, without
-//! image noise, or the video is frozen. Who stands has come to rest before; where the last motion
-//! goes on over a frozen video, the camera may have stopped or doubled its speed.
+//! the last extrapolations were wrong. After a few copies in a row either the camera stands,
+//! without image noise, or the video is frozen. Who stands has come to rest before; where the last
+//! motion goes on over a frozen video, the camera may have stopped or doubled its speed.
 
 use super::last_pose::{LastPose, seen_apart};
 use super::{FrameReference, Odometry};
