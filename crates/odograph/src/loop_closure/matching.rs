@@ -6,6 +6,7 @@ use crate::fixed_pattern::ImageMask;
 use crate::geometry::{GroundPose, Ray};
 use crate::image::{GrayImage, Pyramid};
 use crate::keyframe::relative_pose::{compose, motion_covariance, relative_motion};
+use crate::loop_closure::likeness::{Likeness, RegisteredImage};
 use crate::motion::MotionEstimate;
 use crate::motion::ViewingPose;
 use crate::motion::dense::{self, DenseEstimate, DenseImage};
@@ -59,6 +60,8 @@ pub struct LoopSighting {
     /// As [`crate::keyframe::MapEdge::motion`].
     pub motion: Vector4<f64>,
     pub covariance: Matrix4<f64>,
+    /// Pose of the reference's camera in the query's frame, height and tilt as measured here.
+    pub pose: GroundPose,
     /// Number of inliers, and their share of the corners that should be in view.
     pub inliers: usize,
     pub inlier_ratio: f64,
@@ -235,6 +238,31 @@ impl Matcher {
         )
     }
 
+    /// How the images of the query and of a registered reference differ; `None` if too little
+    /// ground is in both.
+    pub fn likeness(
+        &self,
+        sought: &Sought,
+        pictured: &Pictured,
+        registered: &LoopSighting,
+    ) -> Option<Likeness> {
+        let Sought { camera, keyframe } = sought;
+        let mask = self.mask.as_deref();
+        let here = RegisteredImage {
+            camera: &self.of(*camera).camera,
+            pyramid: &keyframe.pyramid,
+            pose: keyframe.pose,
+            mask,
+        };
+        let there = RegisteredImage {
+            camera: &self.of(pictured.camera).camera,
+            pyramid: &pictured.pyramid,
+            pose: registered.pose,
+            mask,
+        };
+        Likeness::of(&here, &there)
+    }
+
     /// The pose from dense registration of the overlap, if the corners are less certain than the
     /// unmodelled error of lens and interpolation: on faint or noisy images. `None` if they are
     /// more certain, or if the dense registration contradicts them.
@@ -284,6 +312,7 @@ impl Matcher {
         let sighting = LoopSighting {
             motion: relative_motion(&keyframe.pose, pose),
             covariance: motion_covariance(&keyframe.pose, pose, &estimate.covariance) + unmodelled,
+            pose: *pose,
             inliers,
             inlier_ratio,
         };

@@ -2,7 +2,8 @@
 //!
 //! A false loop closure distorts the whole map; a missed one costs little. So a match must have a
 //! high inlier ratio (forward–backward checked), must be consistent with the graph, and must be the
-//! only one that is.
+//! only one that is. A place that is certain by its appearance may have a low inlier ratio, if the
+//! registered images differ by noise only: on tiles few corners are found again.
 
 use super::LoopClosureConfig;
 use super::candidates::{LoopCandidate, Prior, Strength};
@@ -124,7 +125,13 @@ pub fn look_recognised(
     config: &LoopClosureConfig,
 ) -> Option<LoopClosure> {
     let found = matcher.find(sought, pictured, &recognised.motion, GUESS_OFF_PX)?;
-    if !is_clear(&found, config) {
+    // What stands alone was not tested for rivals.
+    let looks_equal = || {
+        let is_candidate = found.inliers >= LEAST_INLIERS && !recognised.stands_alone();
+        is_candidate
+            && matcher.likeness(sought, pictured, &found).is_some_and(|likeness| likeness.is_of_one_place())
+    };
+    if !is_clear(&found, config) && !looks_equal() {
         return None;
     }
     let prior = recognised.prior.as_ref();
