@@ -2,8 +2,8 @@
 //!
 //! Candidates come from the pose graph ([`candidates`]) and from place recognition
 //! ([`recognition`]). The tracker of odometry finds the corners of one keyframe in the image of the
-//! other ([`matching`]), [`likeness`] says how registered images differ, and [`verification`] decides
-//! which matches are accepted.
+//! other ([`matching`]), [`likeness`] says how registered images differ, and [`verification`]
+//! decides which matches are accepted.
 
 mod likeness;
 pub(crate) mod matching;
