@@ -1,10 +1,10 @@
 //! How two registered images of the ground differ: by noise, or by what is peculiar to a place.
 //!
 //! On ground that repeats, such as tiles or a printed floor, the corners of a place are found at
-//! its lookalikes too. What remains when registered images are divided by each other tells them apart:
-//! the repeating part cancels, at every period alike. Over one place noise remains, whose mean over
-//! a square falls with the side of the square. Over a lookalike the differences of grain, stains
-//! and wear remain too, whose mean falls much less.
+//! its lookalikes too. What remains when registered images are divided by each other tells them
+//! apart: the repeating part cancels, at every period alike. Over one place noise remains, whose
+//! mean over a square falls with the side of the square. Over a lookalike the differences of grain,
+//! stains and wear remain too, whose mean falls much less.
 
 use crate::camera::Camera;
 use crate::fixed_pattern::ImageMask;
