@@ -15,9 +15,10 @@ use odograph_map::MapFile;
 pub struct CameraWatch {
     camera: Camera,
     rig: Rig,
-    /// Whether the recording can be read again, and is tracked again where mount or lens differ.
-    readable_again: bool,
+    /// Whether the recording is tracked again where mount or lens differ, and where the camera adds
+    /// a pattern to its images.
     again: bool,
+    again_without_pattern: bool,
     /// Whether the lens is a map's.
     lens_is_known: bool,
     found: Option<CalibrationUpdate>,
@@ -36,7 +37,7 @@ impl CameraWatch {
             std::fs::metadata(&plan.source.path).is_ok_and(|there| there.is_file() || there.is_dir());
         let (camera, rig) = (plan.camera.clone(), plan.rig);
         let again = chosen && readable_again;
-        Self { camera, rig, readable_again, again, lens_is_known: false, found: None }
+        Self { camera, rig, again, again_without_pattern: readable_again, lens_is_known: false, found: None }
     }
 
     /// The self-calibration for the next pass.
@@ -64,7 +65,7 @@ impl CameraWatch {
 
     /// Whether a pattern that the camera adds to its images ends the next pass.
     pub fn watches_pattern(&self, plan: &RunPlan) -> bool {
-        self.readable_again && plan.correction.is_none()
+        self.again_without_pattern && plan.correction.is_none()
     }
 
     /// Applies what was found to the plan.
@@ -88,9 +89,10 @@ impl CameraWatch {
             return Ok(());
         }
         self.lens_is_known = true;
+        self.again_without_pattern = false;
         while let Some(monitor) = self.watch(plan) {
             match look(plan, monitor, observer)? {
-                Some(found) => self.calibrate(found, plan),
+                Some(found) => self.take(found, plan),
                 None => self.again = false,
             }
         }
@@ -103,14 +105,18 @@ fn look(
     plan: &RunPlan,
     mut monitor: CalibrationMonitor,
     observer: &dyn Observer,
-) -> Result<Option<CalibrationUpdate>> {
+) -> Result<Option<CameraDifference>> {
     let mut source = plan.source.open()?;
     let mut odometry = plan.odometry()?;
     while let Some(frame) = source.next_frame()? {
         let estimate = odometry.process(frame.gray, frame.time_s)?;
+        let pattern = odometry.correction().filter(|_| plan.correction.is_none());
+        if let Some(pattern) = pattern {
+            return Ok(Some(CameraDifference::FixedPattern(pattern.clone())));
+        }
         let found = monitor.watch(&estimate, &odometry);
         if found.is_some() || monitor.pairs() >= LOOKED_AT || observer.is_stop_asked() {
-            return Ok(found);
+            return Ok(found.map(|found| CameraDifference::Calibration(Box::new(found))));
         }
     }
     Ok(None)

@@ -15,6 +15,7 @@ mod ground;
 mod hostile;
 mod many;
 mod map;
+mod pattern;
 mod profile;
 mod recordings;
 mod robot;

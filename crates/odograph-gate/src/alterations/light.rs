@@ -62,10 +62,10 @@ pub fn snow(width: usize, flakes: usize, random: &mut RandomStream, samples: &mu
 }
 
 /// A wheel of the robot at the left edge of the image, that turns as the robot drives.
-pub fn wheel(way_m: f64, width: usize, radius_px: f64, samples: &mut [u8]) {
+pub fn wheel(path_m: f64, width: usize, radius_px: f64, samples: &mut [u8]) {
     const WHEEL_M: f64 = 0.1;
     let height = samples.len() / width;
-    let turn = way_m / WHEEL_M;
+    let turn = path_m / WHEEL_M;
     let (cx, cy) = (0.0, 0.5 * height as f64);
     for y in 0..height {
         for x in 0..(radius_px as usize).min(width) {

@@ -192,7 +192,7 @@ impl Alteration {
                 Self::Drops { count } => light::drops(image, &drops[..count.min(drops.len())], &mut samples),
                 Self::Snow { flakes } => light::snow(width, flakes, &mut random, &mut samples),
                 Self::Wheel { radius_px } => {
-                    light::wheel(track.way_m[number], width, radius_px, &mut samples)
+                    light::wheel(track.path_m[number], width, radius_px, &mut samples)
                 }
                 Self::Reflection { amount } => {
                     light::reflection(track.shift_px[number], width, amount, &mut samples)
@@ -245,10 +245,10 @@ impl Alteration {
     }
 }
 
-/// How the camera went, by the truth of the clip.
+/// True motion of the camera in a clip.
 struct Track {
     /// Length of the path up to each frame, metres.
-    way_m: Vec<f64>,
+    path_m: Vec<f64>,
     /// Displacement of the image of the ground since the first frame, pixels.
     shift_px: Vec<(f64, f64)>,
 }
@@ -256,15 +256,15 @@ struct Track {
 impl Track {
     fn new(clip: &Clip) -> Self {
         let px_per_m = clip.camera.focal_px().0 / clip.rig.first_pose().height_m;
-        let (mut way_m, mut shift_px) = (vec![0.0], vec![(0.0, 0.0)]);
+        let (mut path_m, mut shift_px) = (vec![0.0], vec![(0.0, 0.0)]);
         for pair in clip.truth.poses.windows(2) {
             let [before, after] = [&pair[0], &pair[1]].map(|pose| &pose.world_from_camera);
             let step = after.rotation.inverse() * (after.translation.vector - before.translation.vector);
-            let (way, (x, y)) = (way_m[way_m.len() - 1], shift_px[shift_px.len() - 1]);
-            way_m.push(way + step.norm());
+            let (length, (x, y)) = (path_m[path_m.len() - 1], shift_px[shift_px.len() - 1]);
+            path_m.push(length + step.norm());
             shift_px.push((x + px_per_m * step.x, y + px_per_m * step.y));
         }
-        Self { way_m, shift_px }
+        Self { path_m, shift_px }
     }
 }
 

@@ -21,7 +21,7 @@ pub struct NonuniformityCorrection {
 /// the mean.
 const MOST_SAMPLES: u32 = 64;
 
-/// Of so many rows, one shows how strong the pattern is.
+/// The strength of the pattern is estimated from every fourth row.
 const STRENGTH_ROWS: usize = 4;
 
 /// A strength of one, in fixed point.
