@@ -2,8 +2,8 @@
 //! timestamps.
 //!
 //! Needs the recordings (in `ODOGRAPH_DATA`, or `shared/data` beside the checkout) and `ffmpeg`
-//! with `ffprobe`; skips without them. `cargo test -p odograph-video --test clips -- --nocapture`
-//! prints the table of `docs/decoding.md`.
+//! with `ffprobe`; skips without them. The table of `docs/decoding.md` is printed by
+//! `cargo test --release -p odograph-video --test clips -- --nocapture`.
 
 #![allow(clippy::print_stdout, clippy::unwrap_used)] // helper functions of tests may panic
 

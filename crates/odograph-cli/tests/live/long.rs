@@ -8,7 +8,7 @@ use std::io::{BufRead, BufReader};
 /// Performance of the page with an hour of data at 30 frames per second, and with its loop
 /// closures. The results are printed without limits, since they depend on the machine.
 #[test]
-#[ignore = "a measurement; cargo test -p odograph-cli --test live -- --ignored --nocapture hour"]
+#[ignore = "a measurement; cargo test --release -p odograph-cli --test live -- --ignored --nocapture hour"]
 fn an_hour_on_the_page() {
     let mut browser = Browser::start().unwrap();
     let place = LiveFolder::new();
