@@ -14,6 +14,10 @@ use nalgebra::{DVector, Matrix4, Vector2};
 /// by this. Noise does so in four of a million graphs (chi-square, two degrees of freedom).
 const MOUNT_SHOWN: f64 = 25.0;
 
+/// Largest rotation of the mount, in standard deviations of its prior. A larger one occurs by chance
+/// in three of ten thousand mounts (two degrees of freedom).
+const MOST_TURN: f64 = 4.0;
+
 /// Standard deviation of the mount's rotation while fixed, rad/m: bends a kilometre by half a
 /// millimetre.
 const HELD_TURN_SIGMA: f64 = 1e-9;
@@ -103,15 +107,20 @@ impl PoseGraph {
         worth
     }
 
-    /// Whether a rotation of the mount explains the loops significantly better.
+    /// Whether a rotation of the mount that is within its prior explains the loops significantly
+    /// better. What needs a larger one has another cause: ground that undulates, or a wrong loop.
     fn shows_turn(&self, descent: &mut Descent, reach: f64) -> bool {
         let mut explained = |turn_sigma: f64| {
             self.fill(descent, reach, turn_sigma);
             let change = descent.equations.solve(0.0)?;
-            Some(descent.equations.explained(&change))
+            let turn = self.turn_per_m + descent.equations.of_mount(&change);
+            Some((descent.equations.explained(&change), turn.norm()))
         };
         let (held, free) = (explained(HELD_TURN_SIGMA), explained(self.turn_sigma));
-        held.zip(free).is_some_and(|(held, free)| free - held > MOUNT_SHOWN)
+        let significant = |((held, _), (free, turn)): ((f64, f64), (f64, f64))| {
+            free - held > MOUNT_SHOWN && turn < MOST_TURN * self.turn_sigma
+        };
+        held.zip(free).is_some_and(significant)
     }
 
     /// Levenberg–Marquardt; returns the number of steps, the final cost, and whether it converged.

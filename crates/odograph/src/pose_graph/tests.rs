@@ -157,6 +157,16 @@ fn a_mount_that_turns_every_metre_is_found_out() {
 }
 
 #[test]
+fn a_turn_that_no_mount_has_is_not_taken_for_one() {
+    // Ten times the prior standard deviation of the turn: a tilt of 6°.
+    let bend = 0.05;
+    let GridWalk { truth, edges } = grid(6, 0.002, bend, Heights::Held);
+    let mut graph = dead_reckoned(&edges, &truth, Heights::Held);
+    graph.optimize(50);
+    assert_eq!(graph.turn_per_m(), (0.0, 0.0));
+}
+
+#[test]
 fn the_best_path_is_never_more_certain_than_the_graph() {
     let GridWalk { truth, edges } = grid(8, 0.01, 0.0, Heights::Held);
     let mut graph = dead_reckoned(&edges, &truth, Heights::Held);
