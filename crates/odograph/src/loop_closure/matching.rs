@@ -10,7 +10,7 @@ use crate::loop_closure::likeness::{Likeness, RegisteredImage};
 use crate::motion::MotionEstimate;
 use crate::motion::ViewingPose;
 use crate::motion::dense::{self, DenseEstimate, DenseImage};
-use crate::motion::{CoarseOptions, CoarseRegistration, GroundView, MotionModel, Random};
+use crate::motion::{CoarseOptions, CoarseRegistration, GroundView, Random};
 use crate::odometry::OdometryConfig;
 use crate::odometry::keyframe::{GRID, Keyframe, image_grid, overlap};
 use crate::odometry::learned::Learned;
@@ -172,7 +172,7 @@ impl Matcher {
     }
 
     fn scale_is_free(&self) -> bool {
-        matches!(self.config.motion.model, MotionModel::Similarity | MotionModel::Free)
+        self.config.motion.model.scale_is_free()
     }
 
     /// Metres on the ground that a pixel in the middle of an image covers.

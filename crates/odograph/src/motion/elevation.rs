@@ -168,6 +168,16 @@ impl Roughness {
         }
     }
 
+    /// Variance of the elevations as soon as they exceed the noise, which is before the ground is
+    /// taken to be rough, metres².
+    pub fn suspected_m2(&self) -> f64 {
+        if self.products > SUSPECTED_ABOVE * self.count {
+            (self.weighted / self.weight).max(0.0)
+        } else {
+            0.0
+        }
+    }
+
     /// Variance of the elevations, metres²: zero unless the ground is rough.
     pub fn variance_m2(&self) -> f64 {
         match (self.is_rough, self.weight > 0.0) {
@@ -189,6 +199,10 @@ const FORGETTING_FACTOR: f64 = 0.7;
 /// printed sheets that do not lie flat; 32 on gravel of ±5 mm at a height of 0.75 m; hundreds on
 /// undulating ground.
 const ROUGH_ABOVE: f64 = 12.0;
+
+/// Mean product above which ground may be rough, which its covariance then includes. Chosen
+/// between noise, which gives 1 where frames share it, and [`ROUGH_ABOVE`].
+const SUSPECTED_ABOVE: f64 = 4.0;
 
 /// Mean product below which rough ground ends (hysteresis). Not derived; chosen.
 const SMOOTH_BELOW: f64 = 3.0;

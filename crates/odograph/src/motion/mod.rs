@@ -79,6 +79,11 @@ impl MotionModel {
             Self::Auto | Self::Free => 6,
         }
     }
+
+    /// Whether nothing holds the height, so that scale drifts.
+    pub fn scale_is_free(self) -> bool {
+        matches!(self, Self::Similarity | Self::Free)
+    }
 }
 
 /// Configuration of motion estimation.
@@ -225,9 +230,18 @@ pub struct MotionEstimate {
     /// points.
     pub elevations: Buffer<MeasuredElevation>,
     /// Whether only ground that is not flat explains the tracks.
-    pub needs_relief: bool,
+    pub uneven: Option<Unevenness>,
     /// Estimate of the shutter's skew, where the shutter may roll.
     pub shutter: Option<ShutterEstimate>,
+}
+
+/// How ground is not flat.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub enum Unevenness {
+    /// All of it is rough, or undulates.
+    Relief,
+    /// What has come into view since the last keyframe is off the plane that it saw.
+    NewGround,
 }
 
 /// Error of a keyframe's height (metres), roll and pitch (radians), as a frame measured against it

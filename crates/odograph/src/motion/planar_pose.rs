@@ -246,7 +246,7 @@ pub fn refine(
         residual_correlation: ResidualCorrelation::of(camera, observations, &free_errors, &weights),
         rig_evidence,
         elevations,
-        needs_relief: false,
+        uneven: None,
         shutter,
     })
 }

@@ -372,13 +372,13 @@ impl Odometry {
             self.learned.rig_prior.learn(&estimate, &keyframe, propagated);
         }
         if let Some(keyframe) = &mut self.keyframe {
-            self.learned.saw_relief(keyframe, &found, &estimate, self.last.as_ref());
+            self.learned.saw_relief(keyframe, &found, &estimate, &self.camera, self.last.as_ref());
             if keyframe.surface.is_none() && self.frames.is_multiple_of(LEVELLED_EVERY) {
                 keyframe.set_level(&self.camera, self.learned.relief_m2());
             }
         }
         if let Some(inlier_ratio) = inlier_ratio {
-            self.learned.saw(inlier_ratio);
+            self.learned.saw(inlier_ratio, estimate.residual_px);
         }
         self.candidate = None;
         self.recovery.reset();
@@ -432,12 +432,9 @@ impl Odometry {
         let Some(seen) = &estimate.shutter else {
             return (Matrix6::zeros(), of_keyframe + self.own_by_readout);
         };
-        let by_skew = &seen.pose_by_keyframe_skew;
-        let variance = keyframe.rate_variance * keyframe.shutter.readout_s.powi(2);
-        self.own_by_readout =
-            by_skew * keyframe.shutter.rates + seen.pose_by_expected_skew * seen.expected_rates;
-        let by_rates = by_skew * Matrix6::from_diagonal(&variance) * by_skew.transpose();
-        (by_rates, of_keyframe + self.own_by_readout)
+        self.own_by_readout = seen.pose_by_keyframe_skew * keyframe.shutter.rates
+            + seen.pose_by_expected_skew * seen.expected_rates;
+        (keyframe.covariance_by_skew(estimate), of_keyframe + self.own_by_readout)
     }
 
     /// How the frame's pose changes with roll and pitch of the mount.

@@ -280,7 +280,7 @@ mod tests {
             residual_correlation: Default::default(),
             rig_evidence: None,
             elevations: Buffer::new(),
-            needs_relief: false,
+            uneven: None,
             shutter: None,
         };
         RecoveredFrame {

@@ -59,7 +59,8 @@ impl Odometry {
             let kind = EdgeKind::Odometry;
             // The edge starts from the keyframe as this frame corrects it.
             let pose = GroundPose::from_vector(&(before.pose.to_vector() + moved));
-            Some(Before { id: before.id?, pose, covariance: estimate.covariance, kind })
+            let covariance = before.relative_covariance(estimate, self.config.motion.model);
+            Some(Before { id: before.id?, pose, covariance, kind })
         });
         next.in_halves = self.frames - self.serves_since >= LEISURE_FRAMES;
         next.by_readout = by_readout;
@@ -67,6 +68,9 @@ impl Odometry {
         next.by_mount_tilt = by_mount_tilt;
         let relief_m2 = self.learned.relief_m2();
         next.set_surface(self.keyframe.as_ref().and_then(|before| before.surface_now(relief_m2)));
+        if let Some(before) = &self.keyframe {
+            next.set_seen_before(&before.pose);
+        }
         self.expose(&mut next, estimate);
         self.number(&mut next, (self.frames, time_s), before);
         self.serve_from_here(next.id, pose);
@@ -118,7 +122,11 @@ impl Odometry {
             return Err(pyramid);
         };
         let found = measurement.estimate.pose;
-        self.record_revisit(&old, (pose, &estimate.covariance), (&found, &measurement.estimate.covariance));
+        if let Some(present) = &self.keyframe {
+            let by_present = present.relative_covariance(estimate, self.config.motion.model);
+            let by_old = old.relative_covariance(&measurement.estimate, self.config.motion.model);
+            self.record_revisit(&old, (pose, &by_present), (&found, &by_old));
+        }
         self.serve_from_here(old.id, found);
         if let Some(before) = self.keyframe.replace(old) {
             self.memory.remember(before.retire());

@@ -12,6 +12,8 @@ pub struct Surface {
     points: Vec<(GroundPoint, Elevation)>,
     variogram: Variogram,
     mean_m: f64,
+    /// Points per square metre.
+    density: f64,
 }
 
 /// Exponent of the variogram above which the ground undulates: gravel has 0.2, undulations that are
@@ -30,7 +32,15 @@ impl Surface {
         }
         let variogram = Variogram::fitted(&points, variance_m2);
         let mean_m = points.iter().map(|(_, elevation)| elevation.mean_m).sum::<f64>() / points.len() as f64;
-        Some(Self { points, variogram, mean_m })
+        let bounds = |along: fn(&GroundPoint) -> f64| {
+            let along = points.iter().map(|(place, _)| along(place));
+            let (least, most) =
+                along.fold((f64::INFINITY, f64::NEG_INFINITY), |(a, b), x| (a.min(x), b.max(x)));
+            most - least
+        };
+        let area_m2 = bounds(|place| place.x_m) * bounds(|place| place.y_m);
+        let density = points.len() as f64 / area_m2.max(f64::MIN_POSITIVE);
+        Some(Self { points, variogram, mean_m, density })
     }
 
     /// Whether differences grow with the distance as on undulating ground; on gravel they do not,
@@ -71,8 +81,15 @@ impl Surface {
         let mean_m =
             nearest.iter().enumerate().map(|(i, &(_, a))| weights[i] * self.points[a].1.mean_m).sum();
         // The variance of the kriging estimate.
-        let variance_m2 = weights.dot(&right);
+        let variance_m2 = self.sharing(nearest[0].0) * weights.dot(&right);
         Elevation { mean_m, variance_m2: variance_m2.max(LEAST_SIGMA_M * LEAST_SIGMA_M) }
+    }
+
+    /// Number of points that share the error of an elevation this far from the nearest known point:
+    /// those within the same distance. The fit takes the errors of different points to be
+    /// independent; with the variance multiplied by it they weigh as one.
+    fn sharing(&self, squared_m2: f64) -> f64 {
+        (std::f64::consts::PI * squared_m2 * self.density).max(1.0)
     }
 
     /// The nearest points: squared distance and index, the nearest first.
@@ -192,6 +209,16 @@ mod tests {
         assert!(!surface.is_smooth());
         let found = surface.at(GroundPoint::new(0.38, 0.42));
         assert!(found.variance_m2.sqrt() > 0.002, "{found:?}");
+    }
+
+    #[test]
+    fn unseen_ground_weighs_as_one_point() {
+        let surface = surface(|x: f64, y: f64| 0.03 * (3.0 * x).sin() * (2.0 * y).cos());
+        // 25 points beside the surface within 20 cm of each other: the information of all of them
+        // is at most that of one that the variogram alone would give.
+        let beyond = GroundPoint::new(0.95, 0.4);
+        let alone_m2 = surface.variogram.squared_difference(0.2);
+        assert!(25.0 / surface.at(beyond).variance_m2 < 1.0 / alone_m2, "{:?}", surface.at(beyond));
     }
 
     #[test]

@@ -74,10 +74,7 @@ const MISFIT: f64 = 9.0;
 impl Mapper {
     /// A mapper with an empty map.
     pub fn new(camera: &Camera, rig: Rig, odometry: &OdometryConfig, config: LoopClosureConfig) -> Self {
-        let heights = match odometry.motion.model {
-            MotionModel::Similarity | MotionModel::Free => Heights::Free,
-            _ => Heights::Held,
-        };
+        let heights = if odometry.motion.model.scale_is_free() { Heights::Free } else { Heights::Held };
         let height_m = rig.first_pose().height_m;
         let places_config = PlacesConfig::new(camera, height_m);
         Self {

@@ -1,6 +1,7 @@
 //! A corner of a keyframe, and what later frames measured of its elevation.
 
 use super::super::moving_ground::StrayCount;
+use super::projection::GroundProjection;
 use crate::camera::Camera;
 use crate::flow::{Template, Warp};
 use crate::geometry::{GroundPoint, GroundPose};
@@ -22,6 +23,10 @@ pub struct KeyCorner {
     seen_before: Option<MeasuredElevation>,
     confirmations: usize,
     pub(super) is_on_kerb: bool,
+    /// Information of the elevation that was taken over from a frame, 1/metres²; zero without.
+    information_taken_over: f64,
+    /// Whether the keyframe before did not have its ground in view.
+    pub is_on_new_ground: bool,
     pub(super) strays: StrayCount,
     /// How it was last found.
     pub seen: Warp,
@@ -44,6 +49,8 @@ impl KeyCorner {
             seen_before: None,
             confirmations: 0,
             is_on_kerb: false,
+            information_taken_over: 0.0,
+            is_on_new_ground: false,
             strays: StrayCount::default(),
         }
     }
@@ -79,11 +86,48 @@ impl KeyCorner {
             && self.confirmations >= CONFIRMATIONS
             && !self.is_on_kerb
         {
-            self.is_on_kerb = true;
-            let mean_m = self.patch.elevation_m;
-            self.elevation = Some(Elevation { mean_m, variance_m2: highest_m * highest_m });
+            self.put_on_kerb(highest_m);
         }
         Some(before)
+    }
+
+    /// Whether a frame knows its elevation much better than the prior, and better than the frame
+    /// whose elevation was last taken over.
+    pub(super) fn surpasses(&self, seen: &MeasuredElevation) -> bool {
+        let prior_counts = 1.0 - seen.elevation.variance_m2 * seen.information;
+        (self.is_on_kerb || self.elevation.is_some())
+            && seen.elevation.variance_m2 > 0.0
+            && prior_counts < 1.0 / (1.0 + LONGER_PARALLAX)
+            && seen.information > LONGER_PARALLAX * self.information_taken_over
+    }
+
+    /// Takes over the elevation that a frame measured as the prior of the next frames, without what
+    /// was known before: where the ground that earlier keyframes saw leaves the view, the rest
+    /// carries the scale. `sharing` elevations are taken over together and share the error of the
+    /// pose, so that together they weigh as one.
+    pub(super) fn take_over(
+        &mut self,
+        seen: &MeasuredElevation,
+        sharing: f64,
+        ground: &GroundProjection<'_>,
+    ) {
+        let known_m = self.patch.elevation_m;
+        // Parallax is linear in the inverse of the depth.
+        let depth_m = ground.height_m() - known_m;
+        let linear_m = seen.alone_m - known_m;
+        let mean_m = known_m + linear_m * depth_m / (depth_m + linear_m);
+        if let Some(patch) = ground.patch_at(self.template.centre(), mean_m) {
+            let variance_m2 = sharing / seen.information;
+            (self.patch, self.elevation) = (patch, Some(Elevation { mean_m, variance_m2 }));
+            self.information_taken_over = seen.information;
+        }
+    }
+
+    /// Its elevation may be anything up to `highest_m` from here on.
+    pub(super) fn put_on_kerb(&mut self, highest_m: f64) {
+        self.is_on_kerb = true;
+        let mean_m = self.patch.elevation_m;
+        self.elevation = Some(Elevation { mean_m, variance_m2: highest_m * highest_m });
     }
 
     /// How far from its patch a camera at `pose` is expected to see it for its measured elevation,

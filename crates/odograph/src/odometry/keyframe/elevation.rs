@@ -2,11 +2,14 @@
 
 use super::super::found_corner::FoundCorner;
 use super::super::surface::Surface;
-use super::Keyframe;
 use super::corner::KeyCorner;
+use super::projection::GroundProjection;
+use super::{Keyframe, MARGIN_PX};
 use crate::camera::Camera;
 use crate::geometry::{GroundPoint, GroundPose};
-use crate::motion::{Elevation, GroundPatch, MAX_KERB_HEIGHT, MotionEstimate, Roughness};
+use crate::motion::{
+    Elevation, GroundPatch, MAX_KERB_HEIGHT, MeasuredElevation, MotionEstimate, Roughness, ViewingPose,
+};
 
 /// Ground within this part of the height is below the camera.
 const BELOW: f64 = 0.15;
@@ -18,6 +21,13 @@ const KERB_PX: f64 = 0.3;
 /// Of fewer confirmed corners a kerb is not remembered: tracks that slip along an edge are off the
 /// ground as well.
 const CORNERS_OF_KERB: usize = 12;
+
+/// Whether ground was not in view of a keyframe at `before`.
+pub(super) fn is_new_ground(before: Option<&ViewingPose>, camera: &Camera, patch: &GroundPatch) -> bool {
+    let Some(before) = before else { return false };
+    let pixel = patch.pixel(camera, before);
+    !pixel.is_some_and(|pixel| camera.contains(pixel, MARGIN_PX as f64))
+}
 
 impl Keyframe {
     /// Sets the mean elevation of its corners so that the ground below the camera is on the plane
@@ -60,14 +70,35 @@ impl Keyframe {
         self.surface = surface;
     }
 
+    /// Sets from where the keyframe before saw the ground.
+    pub fn set_seen_before(&mut self, from: &GroundPose) {
+        self.seen_before_from = Some(ViewingPose::new(*from));
+    }
+
+    /// Whether some of its ground is new, and taken to be on the plane.
+    pub fn may_leave_plane(&self) -> bool {
+        self.seen_before_from.is_some() && !self.new_ground_is_kerb
+    }
+
+    /// Ground that the keyframe before did not see is not the plane on which the camera has come:
+    /// its elevations are measured.
+    pub fn leave_plane(&mut self) {
+        self.new_ground_is_kerb = true;
+        let highest_m = MAX_KERB_HEIGHT * self.pose.height_m;
+        let new = self.corners.iter_mut().filter(|corner| corner.is_on_new_ground && !corner.is_on_kerb);
+        new.for_each(|corner| corner.put_on_kerb(highest_m));
+    }
+
     /// Learns the elevations of its corners from a frame measured against it, and how rough the
     /// ground is; kerbs only where the shutter is known, because skew looks like one.
     pub fn learn_elevations(
         &mut self,
         found: &[FoundCorner],
         frame: &MotionEstimate,
+        camera: &Camera,
         sees_kerbs: bool,
     ) -> Roughness {
+        let ground = GroundProjection::new(camera, &self.pose, &self.shutter, (self.level_m, None));
         let mut roughness = Roughness::default();
         let level_m = self.surface.as_ref().map_or(self.level_m, Surface::mean_m);
         let highest_m = MAX_KERB_HEIGHT * self.pose.height_m;
@@ -75,6 +106,7 @@ impl Keyframe {
         for ((found, seen), agrees) in found.iter().zip(&frame.elevations).zip(&frame.inliers) {
             let corner = &mut self.corners[found.corner];
             if seen.is_plausible
+                && !corner.is_on_kerb
                 && let Some(before) = corner.compare(seen, is_exact.then_some(highest_m))
             {
                 let [first, second] = [&before, seen].map(|seen| (seen.alone_m - level_m, seen.information));
@@ -86,6 +118,19 @@ impl Keyframe {
                 && corner.measured.is_none_or(|known| seen.parallax_squared > known.parallax_squared)
             {
                 corner.measured = Some(*seen);
+            }
+        }
+        let measured = || found.iter().zip(&frame.elevations).zip(&frame.inliers);
+        let surpasses =
+            |corners: &[KeyCorner], found: &FoundCorner, seen: &MeasuredElevation, agrees: bool| {
+                let corner = &corners[found.corner];
+                let is_smooth = self.undulates || (self.new_ground_is_kerb && corner.is_on_kerb);
+                is_smooth && agrees && !seen.is_significant && corner.surpasses(seen)
+            };
+        let count = measured().filter(|((f, s), a)| surpasses(&self.corners, f, s, **a)).count();
+        for ((found, seen), agrees) in measured() {
+            if surpasses(&self.corners, found, seen, *agrees) {
+                self.corners[found.corner].take_over(seen, count as f64, &ground);
             }
         }
         roughness

@@ -15,12 +15,17 @@ use crate::camera::Camera;
 use crate::detection::{Detection, DetectionConfig};
 use crate::fixed_pattern::{ImageMask, NonuniformityCorrection};
 use crate::flow::{Template, Warp};
-use crate::geometry::{GroundPose, Pixel};
+use crate::geometry::pose_index::{HEIGHT, ROLL};
+use crate::geometry::{GroundPose, Pixel, propagated};
 use crate::image::{GrayImage, Pyramid};
 use crate::keyframe::KeyframeId;
 use crate::motion::dense::{DenseImage, DenseReference};
-use crate::motion::{CoarseRegistration, GroundView, MotionEstimate, PoseRates, RollingShutter};
+use crate::motion::{
+    CoarseRegistration, GroundView, MAX_KERB_HEIGHT, MotionEstimate, MotionModel, PoseRates, RollingShutter,
+    ViewingPose,
+};
 pub use corner::KeyCorner;
+use elevation::is_new_ground;
 pub use memory::KeyframeMemory;
 use nalgebra::{Matrix3, Matrix6, Matrix6x2, Vector6};
 pub use overlap::{GRID, image_grid, overlap};
@@ -51,6 +56,10 @@ pub struct Keyframe {
     pub by_mount_tilt: Matrix6x2<f64>,
     /// Mean elevation of its corners where no earlier keyframe saw them, metres.
     level_m: f64,
+    /// Where the keyframe before was, and whether the ground that it did not see has elevations of
+    /// its own.
+    seen_before_from: Option<ViewingPose>,
+    new_ground_is_kerb: bool,
     /// Whether the ground undulates, so that its level is its elevation below the camera.
     undulates: bool,
     /// The ground that earlier keyframes saw, where it is not flat.
@@ -207,7 +216,12 @@ impl Keyframe {
             if self.moving.contains(&patch.ground, self.pose.height_m) {
                 return None;
             }
-            Some(KeyCorner::new(template, patch, elevation))
+            let mut corner = KeyCorner::new(template, patch, elevation);
+            corner.is_on_new_ground = is_new_ground(self.seen_before_from.as_ref(), camera, &patch);
+            if corner.is_on_new_ground && self.new_ground_is_kerb {
+                corner.put_on_kerb(MAX_KERB_HEIGHT * self.pose.height_m);
+            }
+            Some(corner)
         };
         self.corners.reserve_exact(places - first);
         self.corners.extend(self.places[first..until].iter().filter_map(corner));
@@ -309,6 +323,25 @@ impl Keyframe {
         let gain = self.covariance.fixed_view::<6, 3>(0, 3) * information;
         let covariance = self.covariance - gain * (before - error.covariance) * gain.transpose();
         (gain * error.mean, 0.5 * (covariance + covariance.transpose()))
+    }
+
+    /// Covariance of the pose of a frame relative to this keyframe. The fit is conditional on the
+    /// keyframe's height, tilt and skew, which are uncertain themselves; where scale is free, the
+    /// metres are those at the keyframe's height, whatever that is.
+    pub fn relative_covariance(&self, frame: &MotionEstimate, model: MotionModel) -> Matrix6<f64> {
+        let (_, improved) = self.improved_by(frame);
+        let of = if model.scale_is_free() { ROLL..ROLL + 2 } else { HEIGHT..ROLL + 2 };
+        let mut uncertain = Matrix6::zeros();
+        let (at, size) = ((of.start, of.start), (of.len(), of.len()));
+        uncertain.view_mut(at, size).copy_from(&improved.view(at, size));
+        frame.covariance + propagated(&frame.by_keyframe, &uncertain) + self.covariance_by_skew(frame)
+    }
+
+    /// What the uncertain skew of this keyframe adds to the covariance of a frame's pose.
+    pub fn covariance_by_skew(&self, frame: &MotionEstimate) -> Matrix6<f64> {
+        let Some(seen) = &frame.shutter else { return Matrix6::zeros() };
+        let variance = self.rate_variance * self.shutter.readout_s.powi(2);
+        propagated(&seen.pose_by_keyframe_skew, &Matrix6::from_diagonal(&variance))
     }
 
     /// Keeps only the given corners, with where they were seen.

@@ -31,14 +31,23 @@ impl<'a> GroundProjection<'a> {
     pub(super) fn patch(&self, centre: Pixel) -> Option<(GroundPatch, Option<Elevation>)> {
         let elevation = self.surface.map(|surface| self.elevation(surface, centre));
         let elevation_m = elevation.map_or(self.level_m, |elevation| elevation.mean_m);
-        let patch = if self.shutter.is_static() {
+        Some((self.patch_at(centre, elevation_m)?, elevation))
+    }
+
+    /// Height of the camera, metres.
+    pub(super) fn height_m(&self) -> f64 {
+        self.pose.height_m
+    }
+
+    /// A patch of the image at a given elevation.
+    pub(super) fn patch_at(&self, centre: Pixel, elevation_m: f64) -> Option<GroundPatch> {
+        if self.shutter.is_static() {
             let from_ray = self.from_ray.at_elevation(elevation_m);
-            GroundPatch::new(self.camera, &from_ray, centre, 1.0)?
+            GroundPatch::new(self.camera, &from_ray, centre, 1.0)
         } else {
             let pose = (self.pose, &self.axes);
-            GroundPatch::with_rolling_shutter(self.camera, pose, self.shutter, elevation_m, centre)?
-        };
-        Some((patch, elevation))
+            GroundPatch::with_rolling_shutter(self.camera, pose, self.shutter, elevation_m, centre)
+        }
     }
 
     /// The elevation where the ray of a pixel meets the surface.

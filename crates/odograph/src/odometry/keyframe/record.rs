@@ -61,6 +61,8 @@ impl Keyframe {
             by_readout,
             by_mount_tilt,
             level_m: 0.0,
+            seen_before_from: None,
+            new_ground_is_kerb: false,
             undulates: surface.as_ref().is_some_and(Surface::is_smooth),
             surface,
             mask,

@@ -43,7 +43,7 @@ pub(super) fn mean_motion(
         residual_correlation: Default::default(),
         rig_evidence: None,
         elevations: Buffer::new(),
-        needs_relief: false,
+        uneven: None,
         shutter: None,
     })
 }

@@ -15,7 +15,7 @@ pub(super) fn observations(
     camera: &Camera,
     pose: &GroundPose,
     shutter: Option<(&ShutterPrior, &RollingShutter)>,
-    relief_m2: f64,
+    (relief_m2, new_ground_m2): (f64, f64),
 ) -> Buffer<Observation> {
     let correspondence = |found: &FoundCorner| {
         let corner = &keyframe.corners[found.corner];
@@ -30,7 +30,8 @@ pub(super) fn observations(
         }
         let covariance_px2 = found.covariance_px2;
         let keyframe_row_fraction = keyframe.shutter.row_fraction(corner.template.centre().y);
-        let unknown = Elevation { mean_m: corner.patch.elevation_m, variance_m2: relief_m2 };
+        let variance_m2 = if corner.is_on_new_ground { relief_m2 + new_ground_m2 } else { relief_m2 };
+        let unknown = Elevation { mean_m: corner.patch.elevation_m, variance_m2 };
         let elevation = corner.elevation.unwrap_or(unknown);
         Correspondence { ground, elevation, pixel, covariance_px2, row_fraction, keyframe_row_fraction }
     };

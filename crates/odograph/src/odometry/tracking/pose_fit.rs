@@ -2,6 +2,7 @@
 //! which they agree best.
 
 use super::super::OdometryConfig;
+use super::super::found_corner::FoundCorner;
 use super::super::keyframe::Keyframe;
 use super::super::learned::Learned;
 use super::Measurement;
@@ -11,7 +12,10 @@ use super::search::FoundCorners;
 use super::visibility::reason_of_loss;
 use crate::camera::Camera;
 use crate::geometry::GroundPose;
-use crate::motion::{MotionEstimate, MotionModel, Observations, Random, RigPrior, ShutterPrior, estimate};
+use crate::motion::{
+    MAX_KERB_HEIGHT, MotionEstimate, MotionModel, Observations, Random, RigPrior, ShutterPrior, Unevenness,
+    estimate,
+};
 use crate::trajectory::LossReason;
 use nalgebra::{Matrix3, Vector3};
 
@@ -39,7 +43,8 @@ pub(super) fn fit_pose(
                 .frame_shutter
                 .map(|prior| ShutterPrior { applies: prior.applies || plane.is_tilted, ..prior });
             let shutter = frame_shutter.as_ref().zip(shutter.as_ref());
-            let observations = observations(keyframe, &found, camera, near, shutter, plane.relief_m2);
+            let observations =
+                observations(keyframe, &found, camera, near, shutter, (plane.relief_m2, plane.new_ground_m2));
             let shutter = shutter.map(|(prior, shutter)| (prior, shutter.rates));
             let keyframe_covariance = &(keyframe.rig_covariance() + plane.tilt_covariance());
             let observations = Observations {
@@ -65,24 +70,37 @@ pub(super) fn fit_pose(
             }
         };
         let relief_m2 = learned.relief_m2();
-        let found = best(GroundHypothesis { relief_m2, is_tilted: false });
-        let is_poor = found.as_ref().is_none_or(|found| found.residual_px > POOR_PX);
-        if is_poor && relief_m2 == 0.0 && learned.may_see_skew() {
-            let rough = best(GroundHypothesis { relief_m2: learned.least_relief_m2(), is_tilted: false });
-            let mut tilted = || best(GroundHypothesis { relief_m2: 0.0, is_tilted: true });
-            match rough {
-                Some(rough)
-                    if rough.residual_px < POOR_PX
-                        && is_better(&rough, &found, RELIEF_FACTOR)
-                        && is_better(&rough, &tilted(), RELIEF_OVER_TILT) =>
-                {
-                    Some(MotionEstimate { needs_relief: true, ..rough })
+        let plane = GroundHypothesis { relief_m2, ..GroundHypothesis::default() };
+        let flat = best(plane);
+        let mut tilted = None;
+        let mut explained = |hypothesis: GroundHypothesis, by: Unevenness| {
+            let uneven = best(hypothesis).filter(|uneven| uneven.residual_px < POOR_PX)?;
+            let is_better = |flat: &Option<MotionEstimate>, factor: f64| match by {
+                Unevenness::Relief => explains_better(&uneven, flat, (factor, 1.0)),
+                Unevenness::NewGround => {
+                    explains_better(&uneven, flat, (factor, INLIERS_KEPT)) || explains_more(&uneven, flat)
                 }
-                _ => found,
+            };
+            if !is_better(&flat, UNEVEN_FACTOR) {
+                return None;
             }
-        } else {
-            found
-        }
+            let tilted = tilted.get_or_insert_with(|| best(GroundHypothesis { is_tilted: true, ..plane }));
+            let is_best = is_better(tilted, UNEVEN_OVER_TILT);
+            is_best.then_some(MotionEstimate { uneven: Some(by), ..uneven })
+        };
+        let is_poor = flat.as_ref().is_none_or(|flat| flat.residual_px > POOR_PX);
+        // A skew that is not known would pass for relief.
+        let may_be_rough = is_poor && relief_m2 == 0.0 && learned.may_see_skew();
+        let rough = GroundHypothesis { relief_m2: learned.least_relief_m2(), ..plane };
+        let rough = may_be_rough.then(|| explained(rough, Unevenness::Relief)).flatten();
+        // A wrong lens is like curved ground, but leaves residuals on known ground, too.
+        let was_exact = learned.usual_residual_px().is_some_and(|usual_px| usual_px < EXACT_PX);
+        let may_rise = relief_m2 == 0.0 && was_exact && keyframe.may_leave_plane();
+        let may_rise = may_rise && (is_poor || new_ground_disagrees(keyframe, &found, flat.as_ref()));
+        let highest_m = MAX_KERB_HEIGHT * keyframe.pose.height_m;
+        let new_ground = GroundHypothesis { new_ground_m2: highest_m * highest_m, ..plane };
+        let mut raised = || may_rise.then(|| explained(new_ground, Unevenness::NewGround)).flatten();
+        rough.or_else(&mut raised).or(flat)
     };
     let estimate = estimate.ok_or_else(|| reason_of_loss(keyframe, camera, &found, prediction))?;
     let support = estimate.inlier_count() as f64 / keyframe.corners_at_first.max(1) as f64;
@@ -94,25 +112,59 @@ pub(super) fn fit_pose(
 /// shutter rolls, or images are blurred.
 const POOR_PX: f64 = 0.1;
 
-/// Relief is a freer model: it must lower the residual by this factor. Noise along and across the
-/// parallax is alike, so that on flat ground it lowers it by a third; motion blur made that a half.
-const RELIEF_FACTOR: f64 = 4.0;
+/// Where the plane left less than this, pixels, it was the plane.
+const EXACT_PX: f64 = 0.5 * POOR_PX;
+
+/// A freer model must lower the residual by this factor. Noise along and across the parallax is
+/// alike, so that on flat ground elevations lower it by a third; motion blur made that a half.
+const UNEVEN_FACTOR: f64 = 4.0;
 
 /// The same over a plane with a tilt and a rolling shutter that are not known, which are free, too.
-const RELIEF_OVER_TILT: f64 = 2.0;
+const UNEVEN_OVER_TILT: f64 = 2.0;
 
-/// Whether a fit with relief leaves a residual smaller by a factor than that of one without.
-fn is_better(rough: &MotionEstimate, flat: &Option<MotionEstimate>, factor: f64) -> bool {
+/// Where new ground is off the plane and taken for it, a few outliers pass for inliers.
+const INLIERS_KEPT: f64 = 0.9;
+
+/// Where new ground is off the plane, a model that frees it raises the number of inliers by this
+/// factor, if it does not lower the residual.
+const INLIERS_GAINED: f64 = 1.25;
+
+/// Whether a fit with elevations leaves a residual smaller by a factor than that of one without, and
+/// keeps a part of its inliers.
+fn explains_better(
+    uneven: &MotionEstimate,
+    flat: &Option<MotionEstimate>,
+    (factor, kept): (f64, f64),
+) -> bool {
     flat.as_ref().is_none_or(|flat| {
-        factor * rough.residual_px < flat.residual_px && rough.inlier_count() >= flat.inlier_count()
+        factor * uneven.residual_px < flat.residual_px
+            && uneven.inlier_count() as f64 >= kept * flat.inlier_count() as f64
     })
 }
 
+/// Whether a fit explains many more tracks than another one.
+fn explains_more(uneven: &MotionEstimate, flat: &Option<MotionEstimate>) -> bool {
+    flat.as_ref()
+        .is_some_and(|flat| uneven.inlier_count() as f64 >= INLIERS_GAINED * flat.inlier_count() as f64)
+}
+
+/// Whether as many tracks on new ground disagree with a pose as a freer model must gain.
+fn new_ground_disagrees(keyframe: &Keyframe, found: &[FoundCorner], pose: Option<&MotionEstimate>) -> bool {
+    let Some(pose) = pose else { return true };
+    let disagrees = |(found, agrees): &(&FoundCorner, &bool)| {
+        !**agrees && keyframe.corners[found.corner].is_on_new_ground
+    };
+    let count = found.iter().zip(&pose.inliers).filter(disagrees).count();
+    count as f64 >= (INLIERS_GAINED - 1.0) * pose.inlier_count() as f64
+}
+
 /// What the ground may be beside the plane z = 0.
-#[derive(Clone, Copy)]
+#[derive(Clone, Copy, Default)]
 struct GroundHypothesis {
     /// Variance of elevations, metres².
     relief_m2: f64,
+    /// The same of ground that the keyframe before did not see, in addition.
+    new_ground_m2: f64,
     /// Whether the keyframe may have had another tilt over it, and the shutter may roll.
     is_tilted: bool,
 }

@@ -104,7 +104,7 @@ fn pose_of_probes(
 ) -> Option<GroundPose> {
     let shutter = learned.shutter_at(camera, prediction);
     let shutter = learned.frame_shutter.as_ref().zip(shutter.as_ref());
-    let observations = observations(keyframe, found, camera, prediction, shutter, learned.relief_m2());
+    let observations = observations(keyframe, found, camera, prediction, shutter, (learned.relief_m2(), 0.0));
     let prior = learned.rig_prior.prior(prediction, &config.motion);
     let shutter = shutter.map(|(prior, shutter)| (prior, shutter.rates));
     let keyframe_covariance = &keyframe.rig_covariance();
