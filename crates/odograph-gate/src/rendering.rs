@@ -3,7 +3,9 @@
 use crate::clip::Clip;
 use crate::compression;
 use crate::rows::{BenchmarkRow, camera};
+use odograph::camera::Rig;
 use odograph::error::{Error, Result};
+use odograph::geometry::GroundPose;
 use odograph::trajectory::{StampedPose, Trajectory};
 use odograph_simulation::{Path, Simulation, SimulationConfig, Texture};
 
@@ -35,6 +37,9 @@ pub fn render(row: &BenchmarkRow, seed: u64) -> Result<Clip> {
         clip.truth.poses.push(StampedPose { time_s: frame.time_s, world_from_camera });
         clip.frames.push((frame.time_s, frame.image));
     }
+    if row.effects.terrain.ride {
+        level_at_first(&mut clip.truth, &row.rig);
+    }
     if let Some(alteration) = row.alteration {
         alteration.apply(&mut clip, seed);
     }
@@ -42,4 +47,16 @@ pub fn render(row: &BenchmarkRow, seed: u64) -> Result<Clip> {
         compression::compress(&mut clip, qp)?;
     }
     Ok(clip)
+}
+
+/// Turns the world of a camera that rides on a slope at first, so that it stands over the plane
+/// z = 0 as its mount says: that is the world of a trajectory.
+fn level_at_first(truth: &mut Trajectory, rig: &Rig) {
+    let Some(first) = truth.poses.first() else { return };
+    let stands =
+        GroundPose::from_world_from_camera(&first.world_from_camera).with_mount_of(&rig.first_pose());
+    let levelled = stands.world_from_camera() * first.world_from_camera.inverse();
+    for pose in &mut truth.poses {
+        pose.world_from_camera = levelled * pose.world_from_camera;
+    }
 }
