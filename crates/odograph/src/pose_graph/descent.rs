@@ -1,7 +1,8 @@
 //! Levenberg–Marquardt on all keyframes, or on rigid pieces of the map.
 
+use super::absolute::{LinearizedPoint, PlacementScale};
 use super::edge::{Linearized, Weighted};
-use super::normal_equations::GraphNormalEquations;
+use super::normal_equations::{GraphNormalEquations, PlacementVariances};
 use super::pieces::{MOST_PIECES, Pieces};
 use super::{Heights, PoseGraph};
 use crate::geometry::pose_index::{HEADING, X, Y};
@@ -33,6 +34,15 @@ pub struct Optimization {
     pub converged: bool,
 }
 
+/// Scales of the robust losses, in standard deviations.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub(super) struct LossScales {
+    /// Of loops.
+    pub loops: f64,
+    /// Of absolute edges.
+    pub points: f64,
+}
+
 /// The unknowns and their normal equations.
 pub(super) struct Descent {
     pieces: Pieces,
@@ -47,25 +57,25 @@ impl PoseGraph {
     pub fn optimize(&mut self, steps: usize) -> Optimization {
         let mut outcome = Optimization { steps: 0, cost: (0.0, 0.0), converged: true };
         let Some(mut descent) = self.descent(Pieces::single(self), true) else { return outcome };
-        let mut reach = self.loop_reach();
-        outcome.cost.0 = self.cost(&descent, reach);
+        let mut scales = self.loss_scales();
+        outcome.cost.0 = self.cost(&descent, scales);
         // The second round has the loss scale that fits the residuals of the first, if there are
         // steps left; the third frees the mount's rotation.
         for round in 0..3 {
             let left = steps - outcome.steps;
-            let (taken, after, converged) = self.descend(&mut descent, reach, left);
+            let (taken, after, converged) = self.descend(&mut descent, scales, left);
             outcome.steps += taken;
             (outcome.cost.1, outcome.converged) = (after, converged);
             let last = round == 2 || outcome.steps >= steps;
             if (round > 0 || last) && !self.mount_turns {
-                self.mount_turns = self.is_worth_asking() && self.shows_turn(&mut descent, reach);
+                self.mount_turns = self.is_worth_asking() && self.shows_turn(&mut descent, scales);
                 if last || !self.mount_turns {
                     break;
                 }
             } else if round > 0 || last {
                 break;
             }
-            reach = self.loop_reach();
+            scales = self.loss_scales();
         }
         if !self.mount_turns {
             self.turn_per_m = Vector2::zeros(); // but for rounding it is
@@ -81,18 +91,18 @@ impl PoseGraph {
             self.optimize(steps);
             return;
         }
-        let reach = self.loop_reach();
+        let scales = self.loss_scales();
         if let Some(mut whole) = self.descent(Pieces::stretches(self), true) {
-            self.descend(&mut whole, reach, steps);
-            if !self.mount_turns && self.is_worth_asking() && self.shows_turn(&mut whole, reach) {
+            self.descend(&mut whole, scales, steps);
+            if !self.mount_turns && self.is_worth_asking() && self.shows_turn(&mut whole, scales) {
                 self.mount_turns = true;
-                self.descend(&mut whole, reach, steps);
+                self.descend(&mut whole, scales, steps);
             }
         }
         let ends = loops.iter().flat_map(|edge| [edge.from, edge.to]);
         let ends: Vec<usize> = ends.filter_map(|id| self.index.get(&id).copied()).collect();
         if let Some(mut near) = self.descent(Pieces::near(self, &ends), false) {
-            self.descend(&mut near, reach, steps);
+            self.descend(&mut near, scales, steps);
         }
     }
 
@@ -109,9 +119,9 @@ impl PoseGraph {
 
     /// Whether a rotation of the mount that is within its prior explains the loops significantly
     /// better. What needs a larger one has another cause: ground that undulates, or a wrong loop.
-    fn shows_turn(&self, descent: &mut Descent, reach: f64) -> bool {
+    pub(super) fn shows_turn(&self, descent: &mut Descent, scales: LossScales) -> bool {
         let mut explained = |turn_sigma: f64| {
-            self.fill(descent, reach, turn_sigma);
+            self.fill(descent, scales, turn_sigma);
             let change = descent.equations.solve(0.0)?;
             let turn = self.turn_per_m + descent.equations.of_mount(&change);
             Some((descent.equations.explained(&change), turn.norm()))
@@ -124,11 +134,16 @@ impl PoseGraph {
     }
 
     /// Levenberg–Marquardt; returns the number of steps, the final cost, and whether it converged.
-    fn descend(&mut self, descent: &mut Descent, reach: f64, steps: usize) -> (usize, f64, bool) {
-        let mut cost = self.cost(descent, reach);
+    pub(super) fn descend(
+        &mut self,
+        descent: &mut Descent,
+        scales: LossScales,
+        steps: usize,
+    ) -> (usize, f64, bool) {
+        let mut cost = self.cost(descent, scales);
         let mut damping = 0.0;
         for taken in 0..steps {
-            self.fill(descent, reach, self.turn_sigma());
+            self.fill(descent, scales, self.turn_sigma());
             loop {
                 let Some(change) = descent.equations.solve(damping) else {
                     damping = next_damping(damping);
@@ -138,8 +153,9 @@ impl PoseGraph {
                     continue;
                 };
                 let (nodes, turn_per_m) = (self.nodes.clone(), self.turn_per_m);
+                let placement = self.survey.as_ref().map(|survey| survey.placement);
                 self.step(descent, &change);
-                let found = self.cost(descent, reach);
+                let found = self.cost(descent, scales);
                 if found.is_finite() && found <= cost * (1.0 + 1e-12) {
                     let gained = cost - found;
                     cost = found;
@@ -150,6 +166,9 @@ impl PoseGraph {
                     break;
                 }
                 (self.nodes, self.turn_per_m) = (nodes, turn_per_m);
+                if let Some((survey, placement)) = self.survey.as_mut().zip(placement) {
+                    survey.placement = placement;
+                }
                 damping = next_damping(damping);
                 if damping > MOST_DAMPING {
                     // No step reduces the cost: converged to rounding.
@@ -167,25 +186,30 @@ impl PoseGraph {
 
     /// Cost: half the weighted squared residuals of the edges that can change, with Cauchy's loss
     /// for loops.
-    pub(super) fn cost(&self, descent: &Descent, reach: f64) -> f64 {
+    pub(super) fn cost(&self, descent: &Descent, scales: LossScales) -> f64 {
         let of = |edge: &Weighted| {
             let squared = self.squared(edge);
-            0.5 * loss_of(edge.kind, reach).map_or(squared, |loss| loss.of_square(squared))
+            0.5 * loss_of(edge.kind, scales).map_or(squared, |loss| loss.of_square(squared))
         };
         let mount = 0.5 * self.turn_per_m.norm_squared() / self.turn_sigma().powi(2);
-        descent.pieces.edges().iter().map(|&edge| of(&self.edges[edge])).sum::<f64>() + mount
+        let cost = descent.pieces.edges().iter().map(|&edge| of(&self.edges[edge])).sum::<f64>() + mount;
+        let Some(survey) = &self.survey else { return cost };
+        let loss = Loss::Cauchy(scales.points);
+        let squares = survey.used().map(|edge| edge.squared(&self.nodes[edge.node], &survey.placement));
+        cost + squares.map(|square| 0.5 * loss.of_square(square)).sum::<f64>() + survey.prior_cost()
     }
 
-    /// Scale of the loops' loss, in standard deviations: three times their robust scale, at least
+    /// Scales of the losses of loops and absolute edges: three times their robust scale, at least
     /// three.
-    pub(super) fn loop_reach(&self) -> f64 {
+    pub(super) fn loss_scales(&self) -> LossScales {
         let loops = self.edges.iter().filter(|edge| edge.kind == EdgeKind::Loop);
         let mut squares: Vec<f64> = loops.map(|edge| self.squared(edge)).collect();
-        3.0 * robust_variance::<3>(&mut squares).map_or(1.0, |variance| variance.sqrt().max(1.0))
+        let loops = 3.0 * robust_variance::<3>(&mut squares).map_or(1.0, |variance| variance.sqrt().max(1.0));
+        LossScales { loops, points: self.loss_scale_of_points() }
     }
 
     /// Prepares the normal equations of these pieces; `None` if nothing is free.
-    fn descent(&self, pieces: Pieces, with_mount: bool) -> Option<Descent> {
+    pub(super) fn descent(&self, pieces: Pieces, with_mount: bool) -> Option<Descent> {
         let mut unknown: Vec<Option<usize>> = vec![None; self.nodes.len()];
         let mut count = 0;
         for node in 0..self.nodes.len() {
@@ -205,7 +229,9 @@ impl PoseGraph {
             (unknown[edge.from], unknown[edge.to], with_mount && edge.bends())
         });
         let size = if self.heights == Heights::Held { 3 } else { 4 };
-        let equations = GraphNormalEquations::new(size, count, ties, unknown.clone())?;
+        let points: Option<Vec<Option<usize>>> =
+            self.survey.as_ref().map(|survey| survey.edges.iter().map(|edge| unknown[edge.node]).collect());
+        let equations = GraphNormalEquations::new(size, count, ties, points.as_deref(), unknown.clone())?;
         Some(Descent { pieces, equations, with_mount })
     }
 
@@ -213,13 +239,13 @@ impl PoseGraph {
         if self.mount_turns { self.turn_sigma } else { HELD_TURN_SIGMA }
     }
 
-    pub(super) fn fill(&self, descent: &mut Descent, reach: f64, turn_sigma: f64) {
+    pub(super) fn fill(&self, descent: &mut Descent, scales: LossScales, turn_sigma: f64) {
         let Descent { pieces, equations, with_mount } = descent;
         equations.clear();
         for edge in pieces.edges().iter().map(|&edge| &self.edges[edge]) {
             let linear: Linearized =
                 edge.linearized(&self.nodes[edge.from], &self.nodes[edge.to], self.turn_per_m);
-            let weight = loss_of(edge.kind, reach)
+            let weight = loss_of(edge.kind, scales)
                 .map_or(1.0, |loss| loss.weight_of_square(linear.misses.norm_squared()));
             let (bend_from, bend_to) = (pieces.bend(edge.from), pieces.bend(edge.to));
             let linear = Linearized {
@@ -235,6 +261,22 @@ impl PoseGraph {
         } else {
             equations.hold_mount(Vector2::zeros(), HELD_TURN_SIGMA);
         }
+        let Some(survey) = &self.survey else { return };
+        let loss = Loss::Cauchy(scales.points);
+        for edge in survey.used() {
+            let linear = edge.linearized(&self.nodes[edge.node], &survey.placement);
+            let weight = loss.weight_of_square(linear.misses.norm_squared());
+            let by_node = linear.by_node * self.by_piece(pieces, edge.node);
+            equations.add_point(edge.node, &LinearizedPoint { by_node, ..linear }, weight);
+        }
+        let is_known = survey.scale == PlacementScale::Adopted;
+        equations.hold_placement(survey.placement.scale.ln(), survey.scale_sigma(), is_known);
+    }
+
+    /// Variances of the placement at the current poses; `None` without absolute edges.
+    pub(super) fn placement_variances(&self, descent: &mut Descent) -> Option<PlacementVariances> {
+        self.fill(descent, self.loss_scales(), self.turn_sigma());
+        descent.equations.placement_variances()
     }
 
     /// Jacobian of a keyframe with respect to its piece's pose.
@@ -262,21 +304,30 @@ impl PoseGraph {
             pose.height_m *= change.scale;
         }
         self.turn_per_m += turned;
+        if let Some((survey, change)) = self.survey.as_mut().zip(equations.of_placement(change)) {
+            let change = Sim2::from_vector(&change);
+            survey.placement.x_m += change.x_m;
+            survey.placement.y_m += change.y_m;
+            survey.placement.heading_rad += change.heading_rad;
+            survey.placement.scale *= change.scale;
+        }
     }
 
     /// Covariance of (x, y, heading, ln height) of every keyframe in order of insertion, relative
-    /// to the first of its connected component: the inverse of the normal equations, scaled by the
+    /// to the first of its connected component or, where that was adopted, in the survey frame: the
+    /// inverse of the normal equations, scaled by the
     /// reduced chi-square of the edges where that exceeds 1.
     pub fn covariances(&self) -> Vec<Matrix4<f64>> {
         let none = || vec![Matrix4::zeros(); self.nodes.len()];
         let Some(mut descent) = self.descent(Pieces::single(self), true) else { return none() };
-        let reach = self.loop_reach();
-        self.fill(&mut descent, reach, self.turn_sigma());
-        let cost = self.cost(&descent, reach);
+        let scales = self.loss_scales();
+        self.fill(&mut descent, scales, self.turn_sigma());
+        let cost = self.cost(&descent, scales);
         let equations = &mut descent.equations;
         let Some(blocks) = equations.marginals() else { return none() };
         let numbers = if self.heights == Heights::Held { 3.0 } else { 4.0 };
-        let redundant = numbers * (self.edges.len() as f64 - equations.unknowns() as f64);
+        let points = self.survey.as_ref().map_or(0.0, |survey| 2.0 * survey.used().count() as f64);
+        let redundant = numbers * (self.edges.len() as f64 - equations.unknowns() as f64) + points;
         let excess = if redundant >= 1.0 { (2.0 * cost / redundant).max(1.0) } else { 1.0 };
         let of = |at: usize| equations.block_of(at).map_or(Matrix4::zeros(), |block| blocks[block] * excess);
         (0..self.nodes.len()).map(of).collect()
@@ -285,11 +336,11 @@ impl PoseGraph {
 
 /// Robust loss of an edge: a loop may be wrong, and across a gap the camera may have been moved
 /// anywhere. Odometry has a quadratic loss.
-fn loss_of(kind: EdgeKind, of_loops: f64) -> Option<Loss> {
+fn loss_of(kind: EdgeKind, scales: LossScales) -> Option<Loss> {
     match kind {
         EdgeKind::Odometry => None,
         EdgeKind::Gap => Some(Loss::Cauchy(3.0)),
-        EdgeKind::Loop => Some(Loss::Cauchy(of_loops)),
+        EdgeKind::Loop => Some(Loss::Cauchy(scales.loops)),
     }
 }
 

@@ -18,22 +18,30 @@
 //! * **A loop closure may be wrong.** Loops have Cauchy's loss, with a scale from the loops' own
 //!   residuals: wide while the path is still bent, and narrow once it fits (graduated
 //!   non-convexity; H. Yang et al., 2020).
+//! * **Absolute edges** tie points of keyframes to known places of a survey frame: surveyed markers,
+//!   or positions of a satellite receiver. The placement of the graph in that frame is estimated
+//!   with the poses; a place that contradicts the others is left out.
 //!
 //! Derivation: `docs/math/pose-graph.md`.
 
+mod absolute;
 mod descent;
 mod edge;
 mod marginals;
 mod normal_equations;
 mod parts;
 mod pieces;
+mod placement;
 mod reach;
 
+pub use absolute::AbsoluteEdge;
 pub use descent::Optimization;
+pub use placement::{AbsoluteUse, Placed, Unplaceable};
 pub use reach::{Reach, Reached};
 
 use crate::geometry::{GroundPose, PlaneTransform, Sim2, wrap_angle};
 use crate::keyframe::{EdgeKind, KeyframeId, MapEdge};
+use absolute::Survey;
 use edge::Weighted;
 use nalgebra::{Vector2, Vector4};
 use std::collections::BTreeMap;
@@ -68,6 +76,8 @@ pub struct PoseGraph {
     mount_turns: bool,
     /// Number of loops when that was last tested.
     asked_of_loops: usize,
+    /// Absolute edges, and the placement that they give.
+    survey: Option<Survey>,
 }
 
 /// A keyframe.
@@ -113,6 +123,7 @@ impl PoseGraph {
             turn_sigma: TURN_OF_MOUNT / height_m,
             mount_turns: false,
             asked_of_loops: 0,
+            survey: None,
         }
     }
 

@@ -2,10 +2,13 @@
 //!
 //! The order is approximate minimum degree (P. Amestoy, T. Davis and I. Duff, 1996) on the graph of
 //! the keyframes. One more block holds the two unknowns of the mount; it is connected to nearly all
-//! keyframes and so comes last.
+//! keyframes and so comes last. With absolute edges the logarithm of the placement's scale is its
+//! third unknown, and another block holds the placement's position and direction.
 
+use super::absolute::LinearizedPoint;
 use super::edge::{Linearized, Weighted};
 use super::marginals;
+use crate::geometry::pose_index::HEADING;
 use nalgebra::{DVector, Matrix4, Vector2, Vector4};
 use nalgebra_sparse::factorization::CscCholesky;
 use nalgebra_sparse::{CscMatrix, pattern::SparsityPattern};
@@ -13,6 +16,8 @@ use nalgebra_sparse::{CscMatrix, pattern::SparsityPattern};
 pub struct GraphNormalEquations {
     /// Unknowns per block: 3 or 4.
     size: usize,
+    /// Number of blocks of keyframes.
+    count: usize,
     /// For each node of the graph, its block; `None` if it is fixed.
     block_of: Vec<Option<usize>>,
     /// For each block, its place in the order.
@@ -28,16 +33,19 @@ pub struct GraphNormalEquations {
 
 impl GraphNormalEquations {
     /// The pattern for `count` blocks and their connections; a connection has its two ends (`None`
-    /// if fixed) and whether it depends on the mount. `None` if no order is found, which cannot
-    /// happen for well-formed connections.
+    /// if fixed) and whether it depends on the mount. `points` are the blocks with absolute edges,
+    /// if there are any. `None` if no order is found, which cannot happen for well-formed
+    /// connections.
     pub fn new(
         size: usize,
         count: usize,
         ties: impl Iterator<Item = (Option<usize>, Option<usize>, bool)>,
+        points: Option<&[Option<usize>]>,
         block_of: Vec<Option<usize>>,
     ) -> Option<Self> {
-        let mount = count;
-        let mut tied: Vec<Vec<usize>> = (0..=count).map(|block| vec![block]).collect();
+        let (mount, placement) = (count, count + 1);
+        let blocks = count + 1 + usize::from(points.is_some());
+        let mut tied: Vec<Vec<usize>> = (0..blocks).map(|block| vec![block]).collect();
         let mut tie = |a: usize, b: usize| {
             tied[a].push(b);
             tied[b].push(a);
@@ -48,6 +56,13 @@ impl GraphNormalEquations {
             }
             for end in [from, to].into_iter().flatten().filter(|_| bends) {
                 tie(end, mount);
+            }
+        }
+        if let Some(points) = points {
+            tie(mount, placement);
+            for &block in points.iter().flatten() {
+                tie(block, mount);
+                tie(block, placement);
             }
         }
         for others in &mut tied {
@@ -80,6 +95,7 @@ impl GraphNormalEquations {
         let matrix = CscMatrix::try_from_pattern_and_values(pattern, values).ok()?;
         Some(Self {
             size,
+            count,
             block_of,
             place,
             tied,
@@ -92,7 +108,7 @@ impl GraphNormalEquations {
 
     /// Number of free keyframes.
     pub fn unknowns(&self) -> usize {
-        self.place.len() - 1
+        self.count
     }
 
     /// The index of a node's marginal; `None` if it is fixed.
@@ -101,7 +117,12 @@ impl GraphNormalEquations {
     }
 
     fn mount(&self) -> usize {
-        self.place[self.place.len() - 1]
+        self.place[self.count]
+    }
+
+    /// `None` without absolute edges.
+    fn placement(&self) -> Option<usize> {
+        self.place.get(self.count + 1).copied()
     }
 
     pub fn clear(&mut self) {
@@ -118,8 +139,28 @@ impl GraphNormalEquations {
             self.block_of[edge.to].map(|block| (self.place[block], linear.by_to)),
             with_mount.then_some((self.mount(), by_mount)),
         ];
+        self.add_residual(&ends, &linear.misses, weight);
+    }
+
+    /// Adds an absolute edge of a node with a weight.
+    pub fn add_point(&mut self, node: usize, linear: &LinearizedPoint, weight: f64) {
+        let ends = [
+            self.block_of[node].map(|block| (self.place[block], linear.by_node)),
+            Some((self.mount(), linear.by_scale)),
+            self.placement().map(|placement| (placement, linear.by_placement)),
+        ];
+        self.add_residual(&ends, &linear.misses, weight);
+    }
+
+    /// Adds a residual with its Jacobians with respect to the blocks at these places.
+    fn add_residual(
+        &mut self,
+        ends: &[Option<(usize, Matrix4<f64>)>; 3],
+        misses: &Vector4<f64>,
+        weight: f64,
+    ) {
         for (a, by_a) in ends.iter().flatten() {
-            let push = by_a.transpose() * linear.misses * weight;
+            let push = by_a.transpose() * misses * weight;
             for i in 0..self.size {
                 self.right[a * self.size + i] -= push[i];
             }
@@ -152,6 +193,22 @@ impl GraphNormalEquations {
         for i in 0..2 {
             self.right[mount * self.size + i] -= weight * turn_per_m[i];
         }
+    }
+
+    /// The prior of the placement's ln scale, and whether the rest of the placement is known.
+    pub fn hold_placement(&mut self, ln_scale: f64, sigma: f64, is_known: bool) {
+        let Some(placement) = self.placement() else { return };
+        let (weight, mount) = (1.0 / (sigma * sigma), self.mount());
+        let mut block = Matrix4::zeros();
+        block[(SCALE, SCALE)] = weight - 1.0; // in place of the 1 of an unused unknown
+        self.add_block(mount, mount, &block);
+        self.right[mount * self.size + SCALE] -= weight * ln_scale;
+        let mut block = Matrix4::zeros();
+        block[(3, 3)] = 1.0; // unused
+        if is_known {
+            block.fill_diagonal(KNOWN);
+        }
+        self.add_block(placement, placement, &block);
     }
 
     /// The Levenberg–Marquardt step with the diagonal raised by the factor `1 + damping`; `None` if
@@ -202,6 +259,23 @@ impl GraphNormalEquations {
         Vector2::new(solution[first], solution[first + 1])
     }
 
+    /// The placement's part of a solution: x, y, heading and ln scale; `None` without absolute
+    /// edges.
+    pub fn of_placement(&self, solution: &DVector<f64>) -> Option<Vector4<f64>> {
+        let first = self.size * self.placement()?;
+        let scale = solution[self.size * self.mount() + SCALE];
+        Some(Vector4::new(solution[first], solution[first + 1], solution[first + 2], scale))
+    }
+
+    /// Variances of the placement; `None` without absolute edges.
+    pub fn placement_variances(&mut self) -> Option<PlacementVariances> {
+        self.factorize(0.0)?;
+        let inverse = marginals::on_pattern(self.factor.as_ref()?.l());
+        let at = |unknown: usize| inverse.get(unknown, unknown);
+        let heading = at(self.size * self.placement()? + HEADING);
+        Some(PlacementVariances { heading, ln_scale: at(self.size * self.mount() + SCALE) })
+    }
+
     /// The diagonal blocks of the inverse, block by block.
     pub fn marginals(&mut self) -> Option<Vec<Matrix4<f64>>> {
         self.factorize(0.0)?;
@@ -219,6 +293,20 @@ impl GraphNormalEquations {
         Some((0..self.unknowns()).map(block).collect())
     }
 }
+
+/// Variances of two numbers of the placement.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct PlacementVariances {
+    /// Square radians.
+    pub heading: f64,
+    pub ln_scale: f64,
+}
+
+/// Where the logarithm of the placement's scale stands in the block of the mount.
+const SCALE: usize = 2;
+
+/// Information of what is known.
+const KNOWN: f64 = 1e18;
 
 /// The elimination order of the blocks.
 fn order(tied: &[Vec<usize>]) -> Option<Vec<usize>> {

@@ -47,8 +47,10 @@ impl PoseGraph {
         self.reach(a).is_some_and(|mut reach| reach.to(b).is_some())
     }
 
-    /// For every keyframe, whether it is the first of its connected component.
+    /// For every keyframe, whether it is the first of its connected component and nothing else
+    /// holds that.
     pub(super) fn first_of_each_part(&self) -> Vec<bool> {
+        let by_survey = self.held_by_survey();
         let mut first = vec![false; self.nodes.len()];
         let mut seen = vec![false; self.nodes.len()];
         let mut open = Vec::new();
@@ -60,6 +62,7 @@ impl PoseGraph {
             seen[start] = true;
             open.push(start);
             while let Some(at) = open.pop() {
+                first[start] &= by_survey.as_ref().is_none_or(|held| !held[at]);
                 for &edge in &self.edges_at[at] {
                     let other = self.edges[edge].other(at);
                     if !seen[other] {

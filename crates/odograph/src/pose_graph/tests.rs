@@ -1,7 +1,7 @@
 use super::*;
 use crate::keyframe::relative_pose::relative_motion;
 use crate::motion::Random;
-use nalgebra::{Matrix4, Vector4};
+use nalgebra::{Matrix2, Matrix3, Matrix4, Vector4};
 
 fn pose(x_m: f64, y_m: f64, heading_rad: f64) -> GroundPose {
     GroundPose { x_m, y_m, heading_rad, ..GroundPose::level(1.0) }
@@ -253,4 +253,220 @@ fn a_large_graph_estimates_the_mount_turn_while_running() {
     let off: Vec<GroundPose> = best.poses().map(|(_, pose)| pose).collect();
     let (by_pieces, whole) = (worst_m(&graph, &off), worst_m(&best, &truth));
     assert!(by_pieces < 0.5 * whole, "{by_pieces} m from the best, which is {whole} m off");
+}
+
+/// Absolute edges of every `step`-th keyframe at its true place in a survey frame, with noise.
+fn surveyed(truth: &[GroundPose], step: usize, survey_from_world: &Sim2, sigma_m: f64) -> Vec<AbsoluteEdge> {
+    let mut random = Random::new(11);
+    let of = |(at, pose): (usize, &GroundPose)| {
+        let point_m = Vector2::new(0.3, -0.2);
+        let world_from_node = Sim2::rigid(&pose.se2());
+        let there = world_from_node.apply(crate::geometry::GroundPoint::new(point_m.x, point_m.y));
+        let place = survey_from_world.apply(there);
+        let noise = Vector2::from_fn(|_, _| sigma_m * normal(&mut random));
+        AbsoluteEdge {
+            keyframe: KeyframeId(at as u64),
+            point_m,
+            direction_rad: 0.4,
+            covariance: Matrix3::from_diagonal_element(1e-8),
+            place_m: Vector2::new(place.x_m, place.y_m) + noise,
+            place_covariance_m2: Matrix2::from_diagonal_element(sigma_m * sigma_m),
+            heading: None,
+        }
+    };
+    truth.iter().enumerate().step_by(step).map(of).collect()
+}
+
+/// Truth and odometry of a straight drive with a keyframe a metre.
+fn drive(length: usize, sigma: f64) -> (Vec<GroundPose>, Vec<MapEdge>) {
+    let mut random = Random::new(3);
+    let truth: Vec<GroundPose> = (0..=length).map(|i| pose(i as f64, 0.0, 0.0)).collect();
+    let edges = (1..=length as u64)
+        .map(|i| {
+            let noise = Vector4::from_fn(|row, _| if row < 3 { sigma * normal(&mut random) } else { 0.0 });
+            edge(i - 1, i, EdgeKind::Odometry, Vector4::new(1.0, 0.0, 0.0, 0.0) + noise, sigma)
+        })
+        .collect();
+    (truth, edges)
+}
+
+fn elsewhere() -> Sim2 {
+    Sim2 { x_m: 350.0, y_m: -120.0, heading_rad: 2.1, scale: 1.0 }
+}
+
+fn worst_in(graph: &PoseGraph, truth: &[GroundPose], survey_from_world: &Sim2) -> f64 {
+    let there: Vec<GroundPose> = truth.iter().map(|pose| survey_from_world.apply_to_pose(pose)).collect();
+    worst_m(graph, &there)
+}
+
+#[test]
+fn surveyed_points_bend_a_drifting_path_back() {
+    let (truth, edges) = drive(100, 1e-3);
+    let mut graph = dead_reckoned(&edges, &truth, Heights::Held);
+    let drifted = worst_m(&graph, &truth);
+    let places = surveyed(&truth, 10, &elsewhere(), 1e-3);
+    let placed = graph.place(&places, None, 60).unwrap();
+    assert!(placed.uses.iter().all(|of| of.used) && placed.scale_sigma == 0.0, "{placed:?}");
+    graph.adopt_survey_frame();
+    let after = worst_in(&graph, &truth, &elsewhere());
+    // Between two places ten metres apart, headings that walk by 1 mrad a metre leave millimetres.
+    assert!(drifted > 10.0 * after && after < 0.012, "{drifted} m without, {after} m with places");
+}
+
+#[test]
+fn a_wrong_place_is_rejected_and_does_not_bend_the_path() {
+    let (truth, edges) = drive(100, 1e-3);
+    let mut places = surveyed(&truth, 10, &elsewhere(), 1e-3);
+    let mut right = dead_reckoned(&edges, &truth, Heights::Held);
+    right.place(&places, None, 60).unwrap();
+    right.adopt_survey_frame();
+    places[4].place_m.x += 0.1;
+    let mut graph = dead_reckoned(&edges, &truth, Heights::Held);
+    let placed = graph.place(&places, None, 60).unwrap();
+    let used: Vec<bool> = placed.uses.iter().map(|of| of.used).collect();
+    assert_eq!(used, (0..11).map(|at| at != 4).collect::<Vec<_>>());
+    // Over the twenty metres between its neighbours the path itself is known to a centimetre.
+    assert!((placed.uses[4].off_m - 0.1).abs() < 0.04, "{:?}", placed.uses[4]);
+    graph.adopt_survey_frame();
+    let (with, without) = (worst_in(&graph, &truth, &elsewhere()), worst_in(&right, &truth, &elsewhere()));
+    assert!(with < without + 0.03, "{without} m, with the wrong place {with} m");
+}
+
+#[test]
+fn a_wrong_scale_is_found_and_corrected_with_the_heights() {
+    for scale in [0.99, 1.012] {
+        let (truth, edges) = drive(100, 1e-3);
+        // The truth is longer than what odometry measured.
+        let longer: Vec<GroundPose> =
+            truth.iter().map(|pose| Sim2::about_origin(0.0, scale).apply_to_pose(pose)).collect();
+        let mut graph = dead_reckoned(&edges, &truth, Heights::Held);
+        let places = surveyed(&longer, 10, &elsewhere(), 1e-3);
+        let placed = graph.place(&places, None, 60).unwrap();
+        let found = placed.survey_from_graph.scale;
+        assert!((found - scale).abs() < 4.0 * placed.scale_sigma + 1e-4, "{placed:?}");
+        assert!(placed.scale_sigma > 0.0 && placed.scale_sigma < 2e-4, "{placed:?}");
+        graph.adopt_survey_frame();
+        // The points of the places are measured in metres that are off by the scale.
+        assert!(worst_in(&graph, &longer, &elsewhere()) < 0.012);
+        assert!((graph.pose(KeyframeId(50)).unwrap().height_m - scale).abs() < 1e-3);
+    }
+}
+
+#[test]
+fn an_adopted_frame_does_not_depend_on_where_the_graph_began() {
+    let (truth, edges) = drive(40, 1e-3);
+    let places = surveyed(&truth, 10, &elsewhere(), 1e-3);
+    let adopted = |moved: &Sim2| {
+        let mut graph = dead_reckoned(&edges, &truth, Heights::Held);
+        let poses: Vec<_> = graph.poses().collect();
+        for (id, pose) in poses {
+            graph.insert(id, moved.apply_to_pose(&pose), 1.0);
+        }
+        graph.place(&places, None, 60).unwrap();
+        graph.adopt_survey_frame();
+        graph
+    };
+    let here = adopted(&Sim2::IDENTITY);
+    let there = adopted(&Sim2 { x_m: -70.0, y_m: 9.0, heading_rad: -1.3, scale: 1.0 });
+    for ((_, a), (_, b)) in here.poses().zip(there.poses()) {
+        assert!(
+            (a.x_m - b.x_m).hypot(a.y_m - b.y_m) < 1e-5
+                && wrap_angle(a.heading_rad - b.heading_rad).abs() < 1e-6
+        );
+    }
+    let (a, b) = (here.covariances(), there.covariances());
+    assert!(a.iter().zip(&b).all(|(a, b)| (a - b).amax() < 1e-3 * a.amax()));
+}
+
+#[test]
+fn the_covariance_in_the_survey_frame_is_true() {
+    let mut sum = 0.0;
+    let runs = 60;
+    for run in 0..runs {
+        let mut random = Random::new(100 + run);
+        let (truth, mut edges) = drive(30, 0.0);
+        for edge in &mut edges {
+            edge.motion += Vector4::from_fn(|row, _| if row < 3 { 2e-3 * normal(&mut random) } else { 0.0 });
+            edge.covariance = Matrix4::from_diagonal_element(4e-6);
+        }
+        let mut places = surveyed(&truth, 10, &elsewhere(), 3e-3);
+        let exact = surveyed(&truth, 10, &elsewhere(), 0.0);
+        for (place, exact) in places.iter_mut().zip(exact) {
+            place.place_m = exact.place_m + Vector2::from_fn(|_, _| 3e-3 * normal(&mut random));
+        }
+        let mut graph = dead_reckoned(&edges, &truth, Heights::Held);
+        graph.turn_sigma = 1e-9; // the mount is known
+        graph.place(&places, None, 60).unwrap();
+        graph.adopt_survey_frame();
+        let covariances = graph.covariances();
+        for at in [5usize, 15, 30] {
+            let found = graph.pose(KeyframeId(at as u64)).unwrap();
+            let truth = elsewhere().apply_to_pose(&truth[at]);
+            let off = Vector2::new(found.x_m - truth.x_m, found.y_m - truth.y_m);
+            let block = covariances[at].fixed_view::<2, 2>(0, 0).into_owned();
+            sum += (off.transpose() * block.try_inverse().unwrap() * off)[0];
+        }
+    }
+    // Two degrees of freedom; 180 values, partly dependent, have a mean within 2 ± 0.45.
+    let nees = sum / (3.0 * runs as f64);
+    assert!((1.5..2.5).contains(&nees), "{nees}");
+}
+
+#[test]
+fn places_that_say_nothing_leave_the_graph_as_it_was() {
+    let (truth, edges) = drive(20, 1e-3);
+    let before = dead_reckoned(&edges, &truth, Heights::Held);
+    let all = surveyed(&truth, 5, &elsewhere(), 1e-3);
+    let mut graph = before.clone();
+    assert_eq!(graph.place(&all[..1], None, 60), Err(Unplaceable::TooFew));
+    let close: Vec<AbsoluteEdge> = (0..3).map(|_| all[2]).collect();
+    assert!(graph.place(&close, None, 60).is_err());
+    let nan = AbsoluteEdge { place_m: Vector2::new(f64::NAN, 0.0), ..all[1] };
+    assert!(graph.place(&[nan, nan], None, 60).is_err());
+    assert!(graph.poses().zip(before.poses()).all(|(a, b)| a == b) && graph.survey.is_none());
+    // One place with a direction is enough.
+    let heading = Some((elsewhere().heading_rad + 0.4, 1e-6));
+    let placed = graph.place(&[AbsoluteEdge { heading, ..all[2] }], None, 60).unwrap();
+    assert!(wrap_angle(placed.survey_from_graph.heading_rad - elsewhere().heading_rad).abs() < 0.02);
+}
+
+proptest::proptest! {
+    #[test]
+    fn jacobians_of_absolute_edges_are_those_of_differences(
+        node in proptest::array::uniform3(-3.0..3.0f64), scale in 0.5..2.0f64, place in proptest::array::uniform4(-2.0..2.0f64),
+        point in proptest::array::uniform2(-1.0..1.0f64),
+    ) {
+        let at = |numbers: Vector4<f64>| Node {
+            id: KeyframeId(0),
+            pose: GroundPose { height_m: numbers[3].exp(), ..pose(numbers[0], numbers[1], numbers[2]) },
+            measured_at_m: 1.0,
+        };
+        let placed = |numbers: Vector4<f64>| Sim2::from_vector(&Vector4::new(numbers[0], numbers[1], numbers[2], 0.3 * numbers[3]));
+        let (own, placement) = (Vector4::new(node[0], node[1], node[2], scale.ln()), Vector4::from(place));
+        let mut edge = AbsoluteEdge {
+            keyframe: KeyframeId(0),
+            point_m: Vector2::from(point),
+            direction_rad: 0.3,
+            covariance: Matrix3::new(2.0, 0.3, 0.1, 0.3, 1.0, 0.2, 0.1, 0.2, 0.5),
+            place_m: Vector2::new(0.4, -0.3),
+            place_covariance_m2: Matrix2::new(0.5, 0.1, 0.1, 0.3),
+            heading: Some((0.0, 0.1)),
+        };
+        // Away from where the angle wraps.
+        edge.heading = Some((own[2] + 0.3 + placement[2] + 0.5, 0.1));
+        let weighted = absolute::WeightedPoint::new(0, &at(own), &edge, &placed(placement)).unwrap();
+        let exact = weighted.linearized(&at(own), &placed(placement));
+        for column in 0..4 {
+            let mut step = Vector4::zeros();
+            step[column] = 1e-6;
+            let by = |of: &dyn Fn(Vector4<f64>) -> Vector4<f64>| (of(step) - of(-step)) / 2e-6;
+            let misses = |own: Vector4<f64>, placement: Vector4<f64>| weighted.linearized(&at(own), &placed(placement)).misses;
+            let by_node = by(&|step| misses(own + step, placement));
+            proptest::prop_assert!((by_node - exact.by_node.column(column)).amax() < 1e-6);
+            let by_placement = by(&|step| misses(own, placement + step));
+            let expected = if column < 3 { exact.by_placement.column(column).into_owned() } else { 0.3 * exact.by_scale.column(2) };
+            proptest::prop_assert!((by_placement - expected).amax() < 1e-6);
+        }
+        proptest::prop_assert_eq!(weighted.squared(&at(own), &placed(placement)), exact.misses.norm_squared());
+    }
 }
