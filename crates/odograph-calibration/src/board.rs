@@ -274,7 +274,7 @@ impl Board {
 }
 
 /// Parses a length with its unit, such as `25mm`, `2.5cm` or `0.025m`; returns metres.
-fn length_m(text: &str) -> Result<f64> {
+pub(crate) fn length_m(text: &str) -> Result<f64> {
     let units = [("mm", 1e-3), ("cm", 1e-2), ("in", 0.0254), ("m", 1.0)];
     let (number, unit_m) =
         units.iter().find_map(|(unit, m)| Some((text.strip_suffix(unit)?, m))).ok_or_else(|| {

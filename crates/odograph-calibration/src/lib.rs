@@ -9,9 +9,12 @@
 //! [`board_pose`] estimates the pose of a board relative to a calibrated camera from one view.
 //! [`rig_from_boards`] estimates height and tilt of the camera from a board that lies on the floor,
 //! and [`calibration_file`] writes a calibration down.
+//!
+//! A [`MarkerFinder`] finds single markers of a [`MarkerFamily`], such as those on a floor.
 
 mod dictionary;
 mod board;
+mod marker_family;
 mod drawing;
 mod finder;
 mod solver;
@@ -24,7 +27,8 @@ pub use drawing::{Drawing, Rectangle, Shape};
 pub use extrinsics::{
     BoardDirection, BoardMounting, FloorBoard, MountingView, ambiguity_turns, rig_from_boards,
 };
-pub use finder::{BoardFinder, NotFound, nothing_found};
+pub use finder::{BoardFinder, MarkerFinder, NotFound, SeenMarker, nothing_found};
+pub use marker_family::MarkerFamily;
 pub use solver::{
     BoardPose, BoardShape, CalibratedView, Calibration, CalibrationConfig, LensModel, ModelComparison,
     Parameter, Verdict, board_pose, calibrate,

@@ -166,7 +166,8 @@ fn position_text(x_m: f64, y_m: f64) -> String {
 
 /// The drawing of the path.
 fn drawing(input: &ReportInput<'_>, page: &mut String) {
-    let narrow = MapDrawing { width: 460.0, loops: input.loops, ..MapDrawing::default() }.svg(input.frames);
+    let (loops, landmarks) = (input.loops, input.landmarks);
+    let narrow = MapDrawing { width: 460.0, loops, landmarks, ..MapDrawing::default() }.svg(input.frames);
     let _ = writeln!(
         page,
         "<h2>The map</h2>\n<figure><figcaption><span>The path seen from above, coloured from blue at the start to orange at \

@@ -1,7 +1,7 @@
 //! Configuration of a run.
 
 use crate::output::{MapUse, RunOutput};
-use crate::plan::{FrameChoice, SourcePlan};
+use crate::plan::{FrameChoice, MarkerPlan, SourcePlan};
 use crate::report::RunReporter;
 use crate::sensors::SensorFiles;
 use odograph::camera::{Camera, Rig};
@@ -44,6 +44,7 @@ pub struct RunBuilder {
     pub(crate) frame: Option<FrameChoice>,
     pub(crate) readout_s: Option<f64>,
     pub(crate) mask: Option<PathBuf>,
+    pub(crate) markers: Option<MarkerPlan>,
     pub(crate) motion: MotionModel,
     pub(crate) sensors: SensorFiles,
     pub(crate) budget_ms: Option<f64>,
@@ -81,6 +82,7 @@ impl RunBuilder {
             frame: None,
             readout_s: None,
             mask: None,
+            markers: None,
             motion: MotionModel::Auto,
             sensors: SensorFiles::default(),
             budget_ms: None,
@@ -170,6 +172,25 @@ impl RunBuilder {
     #[must_use]
     pub fn mask(mut self, path: impl Into<PathBuf>) -> Self {
         self.mask = Some(path.into());
+        self
+    }
+
+    /// Markers on the ground: family and side, such as `apriltag:36h11:80mm`. A marker that is seen
+    /// again closes a loop.
+    #[must_use]
+    pub fn markers(mut self, family: impl Into<String>) -> Self {
+        let control = self.markers.and_then(|markers| markers.control);
+        self.markers = Some(MarkerPlan { family: family.into(), control });
+        self
+    }
+
+    /// Control points (CSV: marker, x_m, y_m): the map is placed in their frame. To be called after
+    /// [`RunBuilder::markers`].
+    #[must_use]
+    pub fn control(mut self, path: impl Into<PathBuf>) -> Self {
+        if let Some(markers) = &mut self.markers {
+            markers.control = Some(path.into());
+        }
         self
     }
 

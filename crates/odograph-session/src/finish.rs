@@ -8,6 +8,7 @@ use crate::earth_statistics::GnssStatistics;
 use crate::folder::OutputFolder;
 use crate::found::{FoundLens, FoundReadout};
 use crate::kept_frames::KeptFrames;
+use crate::marker_statistics::MarkerStatistics;
 use crate::observer::Observer;
 use crate::outcome::{RunEnd, RunOutcome};
 use crate::output::RunOutput;
@@ -18,9 +19,9 @@ use crate::report::RunReporter;
 use crate::resemblance::Resemblance;
 use crate::ros_bag::RosBagWriter;
 use crate::statistics::{
-    BudgetStatistics, LoopStatistics, RunStatistics, SensorStatistics, StageTime, interruption,
-    peak_memory_bytes,
+    BudgetStatistics, LoopStatistics, RunStatistics, SensorStatistics, interruption, peak_memory_bytes,
 };
+use crate::timings::StageTime;
 use crate::{files, pictures, reference, tilt};
 use odograph::error::{Error, Result};
 use odograph::filter::fusion::{Reckoned, SensorReport, Sensors};
@@ -67,9 +68,10 @@ pub fn finish(
     let frames = improved.summaries(&mut run.tracked, &of)?;
     let place = run.place_in_map(&mut improved)?;
     let on_earth = run.place_on_earth(&mut improved, &frames)?;
-    let Improved { mut corrected, sensors, loops, .. } = improved;
-    run.draw(corrected.as_mut(), &frames, &sensors, on_earth.as_ref())?;
-    run.end(frames, place, &sensors, loops, on_earth.map(|on_earth| on_earth.statistics))
+    let Improved { mut corrected, sensors, loops, markers, .. } = improved;
+    run.draw(corrected.as_mut(), &frames, &sensors, markers.as_ref(), on_earth.as_ref())?;
+    let estimated = Estimated { loops, markers, gnss: on_earth.map(|on_earth| on_earth.statistics) };
+    run.end(frames, place, &sensors, estimated)
 }
 
 /// The camera file with the estimated lens, where it differs from the plan.
@@ -99,6 +101,14 @@ struct Improved {
     reckoned: Reckoned,
     sensors: Vec<SensorReport>,
     loops: LoopStatistics,
+    markers: Option<MarkerStatistics>,
+}
+
+/// What the loops, the markers and the satellite receiver said of the path.
+struct Estimated {
+    loops: LoopStatistics,
+    markers: Option<MarkerStatistics>,
+    gnss: Option<GnssStatistics>,
 }
 
 /// What a person is told about interlaced video.
@@ -204,7 +214,11 @@ impl Finishing<'_> {
         let loops = tracked.mapping.statistics(&straight);
         tracked.warnings.extend(tracked.mapping.warning());
         tracked.warnings.extend(self.plan.sensors.warnings(&reports));
-        Ok(Improved { corrected: straight.frames.or(fused), reckoned, sensors: reports, loops })
+        let markers = tracked.mapping.marker_statistics().map(|(statistics, warnings)| {
+            tracked.warnings.extend(warnings);
+            statistics
+        });
+        Ok(Improved { corrected: straight.frames.or(fused), reckoned, sensors: reports, loops, markers })
     }
 
     /// Writes the trajectories, the map's keyframes, and the paths derived from the frames.
@@ -347,6 +361,7 @@ impl Finishing<'_> {
         corrected: Option<&mut KeptFrames>,
         frames: &[FrameSummary],
         sensors: &[SensorReport],
+        markers: Option<&MarkerStatistics>,
         on_earth: Option<&OnEarth>,
     ) -> Result<()> {
         let Ending { description, reporter, observer, .. } = *self.ending;
@@ -366,12 +381,14 @@ impl Finishing<'_> {
         };
         let loops = self.tracked.mapping.loops();
         let keyframes = self.tracked.mapping.own_places();
+        let landmarks = markers.map_or_else(Vec::new, MarkerStatistics::drawn);
         let marks = std::mem::take(&mut self.tracked.marks);
         let tracked = &mut self.tracked;
         let shown = pictures::DrawingInputs {
             description,
             frames,
             loops: &loops,
+            landmarks: &landmarks,
             keyframes: &keyframes,
             marks: &marks,
             mosaic: &mosaic,
@@ -426,8 +443,7 @@ impl Finishing<'_> {
         frames: Vec<FrameSummary>,
         place: Option<PlaceInMap>,
         sensors: &[SensorReport],
-        loops: LoopStatistics,
-        gnss: Option<GnssStatistics>,
+        estimated: Estimated,
     ) -> Result<RunOutcome> {
         let map = self.tracked.mapping.written().map(Path::to_owned);
         let closed = self.tracked.mapping.close();
@@ -438,8 +454,7 @@ impl Finishing<'_> {
             &frames,
             self.plan.budget,
             sensors,
-            loops,
-            gnss,
+            estimated,
             self.ending.started.elapsed(),
         );
         self.folder.finish(&statistics)?;
@@ -465,8 +480,7 @@ fn statistics_of(
     frames: &[FrameSummary],
     budget: Option<Budget>,
     sensors: &[SensorReport],
-    loops: LoopStatistics,
-    gnss: Option<GnssStatistics>,
+    estimated: Estimated,
     elapsed: Duration,
 ) -> RunStatistics {
     let posed = |i: usize| frames[i].place.is_some();
@@ -490,7 +504,7 @@ fn statistics_of(
         ]),
         keyframes: tracked.keyframes,
         losses: losses as u64,
-        loops,
+        loops: estimated.loops,
         peak_memory_bytes: peak_memory_bytes(),
         budget: budget.map(|budget| BudgetStatistics::new(budget, &tracked.times.track)),
         mount: tracked.mount,
@@ -501,8 +515,9 @@ fn statistics_of(
         interrupted: tracked.interrupted,
         frames_announced: tracked.announced.filter(|_| tracked.interrupted),
         live: tracked.live,
+        markers: estimated.markers,
         sensors: sensors.iter().map(SensorStatistics::new).collect(),
-        gnss,
+        gnss: estimated.gnss,
     }
 }
 

@@ -32,6 +32,7 @@
 //! | look at the source before running | [`RunBuilder::open`], then [`Run::follow`] |
 //! | continue a map | [`RunBuilder::map`] with [`MapUse::Continue`] |
 //! | find a picture in a map | [`RunBuilder::localizing`] |
+//! | close loops at markers, or be in their survey frame | [`RunBuilder::markers`], [`RunBuilder::control`] |
 //! | use a gyroscope, compass, wheel or range finder | [`RunBuilder::sensors`] |
 //! | run again exactly | [`RunBuilder::repeating`] with the folder's `run.toml` |
 //! | follow a camera as it moves | the feature `live`, then `RunBuilder::open_live` |
@@ -62,6 +63,8 @@ mod plan_paths;
 mod reference;
 mod report;
 mod builder;
+mod markers;
+mod marker_statistics;
 mod planning;
 mod found;
 mod tilt;
@@ -89,18 +92,18 @@ pub use doctor::{Diagnosis, Finding, Judgement};
 pub use earth_statistics::{EarthStatistics, GnssOutlier, GnssStatistics};
 pub use folder::RUN_FILES;
 pub use found::{FixedInImage, FoundCoefficient, FoundLens, FoundMount, FoundReadout};
+pub use marker_statistics::{LandmarkStatistics, MarkerStatistics};
 pub use observer::Observer;
 pub use outcome::{RunEnd, RunOutcome};
 pub use output::MapUse;
 pub use place::PlaceInMap;
-pub use plan::{FrameChoice, RunPlan, SourcePlan};
+pub use plan::{FrameChoice, MarkerPlan, RunPlan, SourcePlan};
 pub use reference::ComparedReference;
 pub use report::{ReportInput, ReportMark, ReportMosaic, RunReporter};
 pub use resemblance::{AlikePlace, Resemblance, ResemblanceVerdict};
 pub use rig::{doubtful_unit, read_rig};
 pub use run::Run;
 pub use sensors::SensorFiles;
-pub use statistics::{
-    BudgetStatistics, LiveStatistics, LoopStatistics, RunStatistics, SensorStatistics, StageTime,
-};
+pub use statistics::{BudgetStatistics, LiveStatistics, LoopStatistics, RunStatistics, SensorStatistics};
+pub use timings::StageTime;
 pub use trajectory_input::{LoadedTrajectory, read_trajectory, read_trajectory_text};

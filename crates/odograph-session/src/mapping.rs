@@ -3,14 +3,16 @@
 use crate::files;
 use crate::folder::OutputFolder;
 use crate::kept_frames::KeptFrames;
+use crate::marker_statistics::MarkerStatistics;
+use crate::markers::MarkerWatch;
 use crate::observer::Observer;
 use crate::output::RunOutput;
 use crate::plan::RunPlan;
-use crate::statistics::{LoopStatistics, StageTime};
-use crate::timings::Timings;
+use crate::statistics::LoopStatistics;
+use crate::timings::{StageTime, Timings};
 use odograph::camera::{Camera, Rig};
 use odograph::error::{Error, Result};
-use odograph::geometry::{GroundPoint, GroundPose};
+use odograph::geometry::{GroundPoint, GroundPose, Sim2};
 use odograph::georeference::Anchor;
 use odograph::ground_map::{KeyframeImage, KeyframeImages, MapKeyframe, MountedCamera};
 use odograph::ground_map::{KeyframeStore, MemoryImages};
@@ -30,6 +32,10 @@ pub struct Mapping {
     mapper: Mapper,
     file: GrowingFile,
     times: Timings,
+    /// The markers on the ground, where they are looked for.
+    markers: Option<MarkerWatch>,
+    /// Height of the camera that the run began with, metres.
+    height_m: f64,
 }
 
 /// Ground sampling distance of the mosaic of a continued map, in ground pixels at the image centre.
@@ -52,6 +58,13 @@ impl Mapping {
         };
         // The map stores images corrected to a global shutter.
         let global = plan.camera.clone().with_readout_s(None)?;
+        let markers = MarkerWatch::new(plan, &global)?;
+        if continued && markers.as_ref().is_some_and(|markers| markers.control.is_some()) {
+            return Err(Error::usage(format!(
+                "control points place a new map, and {} is there already with a frame of its own; leave one of the two out",
+                path.display()
+            )));
+        }
         let mut file = GrowingFile {
             file: None,
             replaces: map.path().is_none(),
@@ -88,7 +101,7 @@ impl Mapping {
         } else {
             Mapper::new(&global, plan.rig, &plan.odometry, plan.slam)
         };
-        Ok(Self { mapper, file, times: Timings::default() })
+        Ok(Self { mapper, file, times: Timings::default(), markers, height_m: plan.rig.height_m })
     }
 
     /// Adds the keyframe events of a frame.
@@ -100,8 +113,15 @@ impl Mapping {
                     .map(|frame| frame.rgb()),
                 KeyframeEvent::Revisited(_) => None,
             };
+            let sightings = match (&mut self.markers, &event) {
+                (Some(markers), KeyframeEvent::Made(new)) => markers.look(new),
+                _ => Vec::new(),
+            };
             let started = Instant::now();
             self.mapper.take(event, color, &mut self.file)?;
+            if !sightings.is_empty() {
+                self.mapper.see(&sightings, &mut self.file)?;
+            }
             self.times.push(started.elapsed());
         }
         Ok(())
@@ -139,6 +159,12 @@ impl Mapping {
     /// back.
     pub fn straighten(&mut self, frames: &mut KeptFrames, moves: bool, folder: &Path) -> Result<Straight> {
         self.mapper.finish();
+        if let Some(markers) = &mut self.markers {
+            markers.survey(&mut self.mapper);
+        }
+        // A new frame of reference is no correction.
+        let surveyed = self.markers.as_ref().and_then(|markers| markers.surveyed.as_ref()?.as_ref().ok());
+        let frame_moved = surveyed.map(|surveyed| surveyed.survey_from_map);
         let kept = self.mapper.is_straightened().then(|| KeptFrames::new(folder));
         let mut straight = Straight { frames: kept, ..Straight::default() };
         let mut stretches = Stretches::default();
@@ -151,7 +177,7 @@ impl Mapping {
         let mut straightening = stretches.straightening(&self.mapper);
         frames.each(|before, _| {
             let after = straightening.next(before.clone());
-            straight.count(before, &after, moves);
+            straight.count(before, &after, frame_moved.as_ref(), moves);
             if let Some(kept) = &mut straight.frames {
                 kept.push(after, None);
             }
@@ -177,6 +203,14 @@ impl Mapping {
         })
     }
 
+    /// What became of the markers, and sentences for people; `None` where none are looked for.
+    pub fn marker_statistics(&self) -> Option<(MarkerStatistics, Vec<String>)> {
+        let watch = self.markers.as_ref()?;
+        let statistics = MarkerStatistics::of(watch, &self.mapper);
+        let warnings = statistics.warnings(watch, self.height_m);
+        Some((statistics, warnings))
+    }
+
     /// Effect of the loops on the frames.
     pub fn statistics(&self, straight: &Straight) -> LoopStatistics {
         let closed = self.mapper.closures().len();
@@ -187,7 +221,7 @@ impl Mapping {
         let (ahead, left) = self.mapper.turn_per_m();
         LoopStatistics {
             closed: closed as u64,
-            revisited: loops.saturating_sub(closed) as u64,
+            revisited: loops.saturating_sub(closed + self.mapper.marker_ties()) as u64,
             correction_rms_m: (straight.squares_m2 / straight.posed.max(1) as f64).sqrt(),
             correction_most_m: straight.most_m,
             turn_per_m: [ahead, left],
@@ -324,9 +358,17 @@ pub struct Straight {
 }
 
 impl Straight {
-    fn count(&mut self, before: &FrameEstimate, after: &FrameEstimate, moves: bool) {
+    /// `frame_moved` is from the frame of reference of the frames before to that of those after.
+    fn count(
+        &mut self,
+        before: &FrameEstimate,
+        after: &FrameEstimate,
+        frame_moved: Option<&Sim2>,
+        moves: bool,
+    ) {
         let (Some(a), Some(b)) = (&before.estimate, &after.estimate) else { return };
-        let moved_m = (a.pose.x_m - b.pose.x_m).hypot(a.pose.y_m - b.pose.y_m);
+        let from = frame_moved.map_or(a.pose, |moved| moved.apply_to_pose(&a.pose));
+        let moved_m = (from.x_m - b.pose.x_m).hypot(from.y_m - b.pose.y_m);
         self.squares_m2 += moved_m * moved_m;
         self.most_m = self.most_m.max(moved_m);
         self.posed += 1;

@@ -7,7 +7,7 @@ use crate::observer::Observer;
 use crate::plan::RunPlan;
 use crate::reference::ComparedReference;
 use crate::report::{ReportInput, ReportMark, ReportMosaic, RunReporter};
-use odograph::drawing::{Backdrop, MapDrawing};
+use odograph::drawing::{Backdrop, DrawnLandmark, MapDrawing};
 use odograph::error::Result;
 use odograph::filter::fusion::SensorReport;
 use odograph::geometry::GroundPoint;
@@ -24,6 +24,8 @@ pub struct DrawingInputs<'a> {
     pub frames: &'a [FrameSummary],
     /// Poses of the camera at recognised places, and the earlier poses.
     pub loops: &'a [[GroundPoint; 2]],
+    /// Markers on the ground.
+    pub landmarks: &'a [DrawnLandmark],
     /// Poses of the camera at the keyframes of the run.
     pub keyframes: &'a [GroundPoint],
     /// Marks set during a live run.
@@ -103,7 +105,8 @@ fn draw(
         placement: mosaic.placement,
         opacity: BACKDROP_OPACITY,
     });
-    let drawing = MapDrawing { title: title(plan), loops: shown.loops, ..Default::default() };
+    let (loops, landmarks) = (shown.loops, shown.landmarks);
+    let drawing = MapDrawing { title: title(plan), loops, landmarks, ..Default::default() };
     let svg = MapDrawing { backdrop, ..drawing }.svg(shown.frames);
     folder.write("map.svg", svg.as_bytes())?;
     match reporter {
@@ -134,6 +137,7 @@ pub fn write_page(
         map_svg: &drawn.path_svg,
         keyframes: shown.keyframes,
         loops: shown.loops,
+        landmarks: shown.landmarks,
         marks: shown.marks,
         // The report names the full-size file, though it shows a smaller image.
         mosaic: drawn.small.as_ref().map(|(picture, placement)| ReportMosaic {

@@ -38,6 +38,9 @@ pub struct RunPlan {
     /// Mask of what is not ground.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub mask: Option<PathBuf>,
+    /// Markers on the ground.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub markers: Option<MarkerPlan>,
     /// Fixed-pattern noise of the camera, where an earlier pass over the same frames found some.
     #[serde(skip)]
     pub correction: Option<NonuniformityCorrection>,
@@ -52,6 +55,17 @@ pub struct RunPlan {
     /// The parameters of the map.
     #[serde(default)]
     pub slam: LoopClosureConfig,
+}
+
+/// Markers on the ground that are looked for.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct MarkerPlan {
+    /// Family and side, as [`odograph_calibration::MarkerFamily`] reads them.
+    pub family: String,
+    /// Control points: the surveyed places of markers.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub control: Option<PathBuf>,
 }
 
 /// Whose poses a run writes.

@@ -42,7 +42,8 @@ impl RunPlan {
             &mut sensors.range,
             &mut sensors.gnss,
         ];
-        for path in files.into_iter().flatten() {
+        let control = self.markers.as_mut().and_then(|markers| markers.control.as_mut());
+        for path in files.into_iter().flatten().chain(control) {
             if let Some(other) = change(path) {
                 *path = other;
             }

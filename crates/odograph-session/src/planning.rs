@@ -1,6 +1,7 @@
 //! Makes the plan of a run from a builder; reads the named files.
 
 use crate::builder::{CameraChoice, MountChoice, RunBuilder};
+use crate::markers::MarkerWatch;
 use crate::observer::Observer;
 use crate::plan::{FrameChoice, RunPlan, SourcePlan};
 use crate::rig::{read_rig, recorded_rig};
@@ -73,6 +74,7 @@ impl RunBuilder {
             antenna: self.antenna()?,
             correction: None,
             mask: self.mask.clone(),
+            markers: self.markers.clone(),
             sensors: self.sensors.clone(),
             budget,
             odometry,
@@ -81,6 +83,8 @@ impl RunBuilder {
         // A mask of the wrong size and an unknown frame are reported before tracking.
         plan.odometry()?;
         plan.pose_frame()?;
+        // So are an unknown family of markers and unreadable control points.
+        MarkerWatch::new(&plan, &plan.camera)?;
         Ok((plan, source))
     }
 

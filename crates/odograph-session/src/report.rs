@@ -2,6 +2,7 @@
 
 use crate::reference::ComparedReference;
 use odograph::camera::{Camera, Rig};
+use odograph::drawing::DrawnLandmark;
 use odograph::error::Result;
 use odograph::filter::fusion::SensorReport;
 use odograph::geometry::{GroundPoint, Placement};
@@ -45,6 +46,8 @@ pub struct ReportInput<'a> {
     pub keyframes: &'a [GroundPoint],
     /// Loop closures: the two positions of the camera from which the same ground was seen.
     pub loops: &'a [[GroundPoint; 2]],
+    /// Markers on the ground.
+    pub landmarks: &'a [DrawnLandmark],
     /// Marks set during a live run.
     pub marks: &'a [ReportMark],
     /// The orthophoto mosaic of the ground, if there is one.

@@ -3,7 +3,8 @@
 use crate::budget::Budget;
 use crate::earth_statistics::GnssStatistics;
 use crate::found::{FixedInImage, FoundLens, FoundMount, FoundReadout};
-use crate::timings::Timings;
+use crate::marker_statistics::MarkerStatistics;
+use crate::timings::{StageTime, Timings};
 use odograph::drawing::scale::length_text;
 use odograph::error::{Error, Result};
 use odograph::filter::fusion::{SensorKind, SensorParameter, SensorReport};
@@ -60,6 +61,9 @@ pub struct RunStatistics {
     /// Drops and latencies of a live run; left out of runs over recordings.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub live: Option<LiveStatistics>,
+    /// Markers on the ground; left out if none are looked for.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub markers: Option<MarkerStatistics>,
     /// Results of the other sensors; left out if there are none.
     #[serde(skip_serializing_if = "Vec::is_empty")]
     pub sensors: Vec<SensorStatistics>,
@@ -194,21 +198,6 @@ impl SensorStatistics {
     }
 }
 
-/// Processing times of a stage.
-#[derive(Debug, Clone, Copy, Serialize)]
-pub struct StageTime {
-    /// Mean over all frames, milliseconds.
-    pub mean_ms: f64,
-    /// 99th percentile, milliseconds.
-    pub p99_ms: f64,
-}
-
-impl StageTime {
-    pub(crate) fn of(timings: &Timings) -> Self {
-        Self { mean_ms: timings.mean_ms(), p99_ms: timings.quantile_ms(0.99) }
-    }
-}
-
 impl RunStatistics {
     /// As JSON text.
     ///
@@ -241,11 +230,12 @@ impl RunStatistics {
             true => String::new(),
             false => format!("beside the camera: {}\n", used.join(", ")),
         };
+        let markers = self.markers.as_ref().map_or_else(String::new, MarkerStatistics::summary);
         let dropped = self.live.as_ref().map_or_else(String::new, LiveStatistics::summary);
         let on_earth = self.gnss.as_ref().map_or_else(String::new, GnssStatistics::summary);
         format!(
             "{:.2} m in {:.1} s; {} of {} frames with a pose, {lost}; {} keyframes\n\
-             {:.0} frames/s, decoding and writing included\n{dropped}{loops}{sensors}{on_earth}{fixed}",
+             {:.0} frames/s, decoding and writing included\n{dropped}{loops}{markers}{sensors}{on_earth}{fixed}",
             self.distance_m, self.duration_s, self.frames_with_pose, self.frames, self.keyframes, self.fps,
         )
     }

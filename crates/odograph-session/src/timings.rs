@@ -1,5 +1,6 @@
 //! A histogram of durations, whose memory does not grow with their number.
 
+use serde::Serialize;
 use std::time::Duration;
 
 /// Durations in classes of 1 %. Sum and maximum are exact.
@@ -53,6 +54,21 @@ impl Timings {
     /// Number of durations above this one, to 1 %.
     pub fn longer_than(&self, duration: Duration) -> u64 {
         self.counts.iter().skip(class_of(duration) + 1).sum()
+    }
+}
+
+/// Processing times of a stage.
+#[derive(Debug, Clone, Copy, Serialize)]
+pub struct StageTime {
+    /// Mean over all frames, milliseconds.
+    pub mean_ms: f64,
+    /// 99th percentile, milliseconds.
+    pub p99_ms: f64,
+}
+
+impl StageTime {
+    pub(crate) fn of(timings: &Timings) -> Self {
+        Self { mean_ms: timings.mean_ms(), p99_ms: timings.quantile_ms(0.99) }
     }
 }
 

@@ -1,5 +1,6 @@
 //! The ground as a raster that is computed on demand.
 
+use super::floor_markers::FloorMarkers;
 use super::patterns::ground_shadow;
 use super::texture::{Texture, luminance};
 use odograph::error::{Error, Result};
@@ -29,6 +30,7 @@ pub struct Ground {
     footprint_m: f64,
     colored: bool,
     shadow: f32,
+    markers: Option<FloorMarkers>,
     seed: u64,
     chunks: RwLock<HashMap<ChunkIndex, Arc<Chunk>>>,
 }
@@ -61,7 +63,15 @@ impl Ground {
                 "a pixel's footprint of {footprint_m} m is not usable; it must be positive"
             )));
         }
-        Ok(Self { texture, footprint_m, colored, shadow: 0.0, seed, chunks: RwLock::default() })
+        Ok(Self {
+            texture,
+            footprint_m,
+            colored,
+            shadow: 0.0,
+            markers: None,
+            seed,
+            chunks: RwLock::default(),
+        })
     }
 
     /// Adds shadows fixed to the ground, which remove the fraction `darkness` (0 to 1) of the
@@ -69,6 +79,12 @@ impl Ground {
     #[must_use]
     pub fn with_shadows(self, darkness: f64) -> Self {
         Self { shadow: darkness.clamp(0.0, 1.0) as f32, chunks: RwLock::default(), ..self }
+    }
+
+    /// Lays markers on the ground.
+    #[must_use]
+    pub(super) fn with_markers(self, markers: FloorMarkers) -> Self {
+        Self { markers: Some(markers), chunks: RwLock::default(), ..self }
     }
 
     /// Number of channels: 3 for coloured ground, otherwise 1.
@@ -104,6 +120,10 @@ impl Ground {
     fn rasterised(&self, (level, chunk_x, chunk_y): ChunkIndex) -> Chunk {
         let texel_m = self.texel_m(level);
         let plane = STRIDE * STRIDE;
+        let middle = |chunk: i64| (chunk as f64 + 0.5) * CHUNK as f64 * texel_m;
+        let near = self.markers.as_ref().map(|markers| {
+            markers.near(GroundPoint::new(middle(chunk_x), middle(chunk_y)), STRIDE as f64 * texel_m)
+        });
         let mut samples = vec![0u16; plane * self.channels()];
         for j in 0..STRIDE {
             for i in 0..STRIDE {
@@ -111,6 +131,9 @@ impl Ground {
                     |chunk: i64, inside: usize| (chunk * CHUNK as i64 + inside as i64 - 1) as f64 * texel_m;
                 let point = GroundPoint::new(place(chunk_x, i), place(chunk_y, j));
                 let mut color = self.texture.color(point, 2.0 * texel_m, self.seed);
+                if let Some(near) = &near {
+                    near.cover(point, 2.0 * texel_m, &mut color);
+                }
                 if self.shadow > 0.0 {
                     let dark = 1.0 - self.shadow * ground_shadow(self.seed as u32, (point.x_m, point.y_m));
                     color = color.map(|c| c * dark);

@@ -16,6 +16,7 @@
 mod board_scene;
 mod effects;
 mod fixtures;
+mod floor_markers;
 mod ground;
 mod noise;
 mod ordinary;

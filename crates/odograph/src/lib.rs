@@ -82,6 +82,7 @@ pub mod odometry;
 pub mod pose_graph;
 pub mod place_recognition;
 pub mod ground_map;
+pub mod landmark;
 pub mod loop_closure;
 pub mod slam;
 pub mod mosaic;

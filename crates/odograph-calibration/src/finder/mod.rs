@@ -14,10 +14,13 @@ mod plane_map;
 mod points;
 mod response;
 pub(crate) mod ring;
+mod single;
 pub(crate) mod subpixel;
 mod tagged;
 #[cfg(test)]
 mod tests;
+
+pub use single::{MarkerFinder, SeenMarker};
 
 use super::{Board, BoardKind, BoardView};
 use odograph::error::Error;

@@ -108,6 +108,11 @@ pub struct SimulateArguments {
     /// [default share: 0.3]
     #[arg(long, value_name = "PX[:SHARE]", value_parser = scene::parse_pair, help_heading = "Ground and way")]
     sway: Option<scene::Pair>,
+    /// Markers along the path: family, dictionary, side and distance, such as apriltag:36h11:80mm:10m
+    ///
+    /// markers.csv has their true places.
+    #[arg(long, value_name = "FAMILY:SIZE:SPACING", value_parser = scene::parse_markers, help_heading = "Ground and way")]
+    markers: Option<scene::MarkersOption>,
     /// Record this many seconds instead of to the end of the path
     ///
     /// Before and after the path the camera stands still.
@@ -352,6 +357,10 @@ enum FormatName {
 pub fn simulate(arguments: SimulateArguments) -> Result<Outcome> {
     let (config, parameters) = scene::from_arguments(&arguments)?;
     let simulation = Simulation::new(config)?;
+    let simulation = match &arguments.markers {
+        Some(markers) => simulation.with_markers(&markers.family, markers.spacing_m)?,
+        None => simulation,
+    };
     if !arguments.quiet {
         arguments.height.question();
     }

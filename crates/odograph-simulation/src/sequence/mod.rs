@@ -1,6 +1,7 @@
 //! A simulated image sequence.
 
 use super::effects::{Breathing, Disturbance, Effects, Exposure, MovingDisc, MovingDiscs, row_offset_s};
+use super::floor_markers::FloorMarkers;
 use super::ground::Ground;
 use super::noise::{GaussianStream, mix, uniform};
 use super::path::Path;
@@ -10,8 +11,10 @@ use super::terrain::TerrainSurface;
 use super::texture::{Texture, luminance};
 use odograph::camera::{Camera, Rig};
 use odograph::error::{Error, Result};
-use odograph::geometry::{GroundPoint, GroundPose, Pixel};
+use odograph::geometry::{GroundPoint, GroundPose, Pixel, Se2, wrap_angle};
 use odograph::image::{GrayImage, RgbImage};
+use odograph::landmark::ControlPoint;
+use odograph_calibration::MarkerFamily;
 
 /// Configuration of a simulated sequence.
 #[derive(Debug, Clone)]
@@ -51,6 +54,7 @@ pub struct Simulation {
     exposure: Exposure,
     discs: Option<MovingDiscs>,
     times_s: Vec<f64>,
+    markers: Vec<ControlPoint>,
 }
 
 /// A rendered frame with its ground truth.
@@ -121,10 +125,66 @@ impl Simulation {
             ),
             discs: config.effects.object.map(|object| MovingDiscs::new(object, config.seed)),
             times_s: times_s(&config)?,
+            markers: Vec::new(),
             config,
         };
         simulation.above_ground()?;
         Ok(simulation)
+    }
+
+    /// Lays markers under the path, one every `spacing_m` metres of it from its start, numbered from
+    /// 0 and turned by 37° from one to the next; where the path comes back to a marker there is no
+    /// second one.
+    ///
+    /// Fails where the spacing is too small for the markers, or the family has too few of them.
+    pub fn with_markers(mut self, family: &MarkerFamily, spacing_m: f64) -> Result<Self> {
+        let least_m = 2.0 * family.side_m();
+        if !(spacing_m.is_finite() && spacing_m >= least_m) {
+            return Err(Error::usage(format!(
+                "markers every {spacing_m} m would lie on each other; {least_m} m is the least for {family}"
+            )));
+        }
+        let path = &self.config.path;
+        let steps = (path.duration_s() * 100.0).ceil().clamp(1.0, 1e7) as usize;
+        let place = |step: usize| path.pose(path.duration_s() * step as f64 / steps as f64, &self.config.rig);
+        let mut placed: Vec<(usize, Se2)> = Vec::new();
+        let (mut before, mut length_m) = (place(0), 0.0);
+        for step in 0..=steps {
+            let pose = place(step);
+            length_m += (pose.x_m - before.x_m).hypot(pose.y_m - before.y_m);
+            before = pose;
+            let due = length_m >= spacing_m * (1.0 - 1e-9) || step == 0;
+            let near = |other: &Se2| (other.x_m - pose.x_m).hypot(other.y_m - pose.y_m) < 0.5 * spacing_m;
+            if !due || placed.iter().any(|(_, other)| near(other)) {
+                continue;
+            }
+            length_m = 0.0;
+            let number = placed.len();
+            if number == family.markers() {
+                return Err(Error::usage(format!(
+                    "the path needs more markers than the {number} of {family}; lay them further apart"
+                )));
+            }
+            let turned_rad = number as f64 * 37f64.to_radians();
+            placed.push((number, Se2::new(pose.x_m, pose.y_m, wrap_angle(turned_rad))));
+        }
+        self.markers = placed
+            .iter()
+            .map(|(number, pose)| ControlPoint {
+                number: *number as u32,
+                x_m: pose.x_m,
+                y_m: pose.y_m,
+                sigma_m: 0.001,
+                heading_rad: Some(pose.heading_rad),
+            })
+            .collect();
+        self.ground = self.ground.with_markers(FloorMarkers::new(*family, placed));
+        Ok(self)
+    }
+
+    /// The true places of the markers in the world frame, with a millimetre as standard deviation.
+    pub fn markers(&self) -> &[ControlPoint] {
+        &self.markers
     }
 
     /// Fails where the camera comes closer to the ground than a tenth of its mounting height.

@@ -4,7 +4,7 @@ use super::path::MeasuredPath;
 use super::scale::{duration_text, length_text, round_step};
 use super::svg::{coordinate as c, text_width};
 use super::window::{DrawingWindow, RIGHT_MARGIN};
-use super::{BACKGROUND, INK, MUTED, TIME_COLOURS, hex, time_colour};
+use super::{BACKGROUND, DrawnLandmark, INK, MUTED, TIME_COLOURS, hex, time_colour};
 use crate::geometry::{GroundPoint, wrap_angle};
 use crate::trajectory::PlaceSummary;
 use std::collections::BTreeSet;
@@ -14,6 +14,7 @@ const START: &str = "#0f9d58";
 const ELLIPSE: &str = "#0e7490";
 const LOST: &str = "#c2410c";
 const LOOP: &str = "#7c3aed";
+const LANDMARK: &str = "#1d4ed8";
 /// Radius of the ring around a place that was recognised.
 const RING: f64 = 5.0;
 /// The dart that points along a heading: how far its tip and its tail reach from the position, and
@@ -30,6 +31,7 @@ pub(super) struct Shown {
     pub headings: Option<f64>,
     pub ellipses: bool,
     pub loops: bool,
+    pub landmarks: bool,
 }
 
 /// A ring at every loop closure, and a line to the place from where its ground was seen before.
@@ -66,6 +68,44 @@ pub(super) fn loops(
             "<g class=\"loop\" fill=\"none\" stroke=\"{LOOP}\" stroke-width=\"1.6\">{drawn}</g>"
         );
     }
+}
+
+/// An upright cross at every marker, with its number; in the colour of a loss where it is doubtful.
+pub(super) fn landmarks(
+    landmarks: &[DrawnLandmark],
+    window: &DrawingWindow,
+    shown: &mut Shown,
+    body: &mut String,
+) {
+    let mut numbered = BTreeSet::new();
+    for landmark in landmarks {
+        let (x, y) = window.page(landmark.at.x_m, landmark.at.y_m);
+        if !(x.is_finite() && y.is_finite()) {
+            continue;
+        }
+        shown.landmarks = true;
+        let colour = if landmark.doubtful { LOST } else { LANDMARK };
+        let _ = write!(body, "{}", upright_cross(x, y, colour));
+        // Numbers on top of each other cannot be read.
+        if numbered.insert(((x / 26.0).round() as i64, (y / 18.0).round() as i64)) {
+            let _ = writeln!(
+                body,
+                "<text class=\"landmark label\" fill=\"{colour}\" stroke=\"{BACKGROUND}\" stroke-width=\"3\" \
+                 stroke-linejoin=\"round\" paint-order=\"stroke\" font-size=\"13\" x=\"{}\" y=\"{}\">{}</text>",
+                c(x + 8.0),
+                c(y - 7.0),
+                landmark.number
+            );
+        }
+    }
+}
+
+fn upright_cross(x: f64, y: f64, colour: &str) -> String {
+    let d = format!("M{} {}v13M{} {}h13", c(x), c(y - 6.5), c(x - 6.5), c(y));
+    format!(
+        "<path class=\"casing\" fill=\"none\" stroke=\"{BACKGROUND}\" stroke-width=\"4.5\" d=\"{d}\"/>\
+         <path class=\"landmark\" fill=\"none\" stroke=\"{colour}\" stroke-width=\"2\" d=\"{d}\"/>"
+    )
 }
 
 /// Darts that point where the top of the image points, at regular distances and wherever the camera
@@ -388,6 +428,11 @@ pub(super) fn legend(
         let mark = format!(
             "<circle class=\"loop\" fill=\"none\" stroke=\"{LOOP}\" stroke-width=\"1.6\" cx=\"7\" cy=\"0\" r=\"{RING}\"/>"
         );
+        items.push((20.0 + wide(words), mark + &text(20.0, words)));
+    }
+    if shown.landmarks {
+        let words = "marker";
+        let mark = upright_cross(7.0, 0.0, LANDMARK);
         items.push((20.0 + wide(words), mark + &text(20.0, words)));
     }
     if shown.gaps {

@@ -40,6 +40,19 @@ pub struct MapDrawing<'a> {
     /// Places that were recognised: each the two positions of the camera from which the same ground
     /// was seen.
     pub loops: &'a [[GroundPoint; 2]],
+    /// Markers on the ground: crosses with their numbers.
+    pub landmarks: &'a [DrawnLandmark],
+}
+
+/// A marker on the ground as a cross with its number.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct DrawnLandmark {
+    /// Its number.
+    pub number: u32,
+    /// Its centre.
+    pub at: GroundPoint,
+    /// Whether its surveyed place or its number contradicts others.
+    pub doubtful: bool,
 }
 
 /// A picture of the ground that lies under the path, embedded in the drawing.
@@ -59,7 +72,7 @@ pub struct Backdrop<'a> {
 
 impl Default for MapDrawing<'_> {
     fn default() -> Self {
-        Self { title: "", width: 1200.0, backdrop: None, loops: &[] }
+        Self { title: "", width: 1200.0, backdrop: None, loops: &[], landmarks: &[] }
     }
 }
 
@@ -90,6 +103,7 @@ impl MapDrawing<'_> {
         stretches(&path, &window, &mut body);
         breaks.into_iter().for_each(|(x, y)| markers::cross(x, y, &mut body));
         markers::loops(self.loops, &window, &mut shown, &mut body);
+        markers::landmarks(self.landmarks, &window, &mut shown, &mut body);
         markers::headings(&path, &window, &mut shown, &mut body);
         markers::ends(&path, &window, &mut body);
         let _ = writeln!(body, "</g>");

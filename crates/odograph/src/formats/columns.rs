@@ -1,4 +1,5 @@
-//! Tables of numbers over time: a header line with the column names, then one line per sample.
+//! Tables of numbers, most of them over time: a header line with the column names, then one line
+//! per sample.
 //!
 //! Values are separated by commas, semicolons or white space. Empty lines and lines that begin with
 //! `#` are ignored.
@@ -20,7 +21,7 @@ pub struct Columns<'a> {
 pub struct Row<'a> {
     /// From 1.
     pub line: usize,
-    /// Later than that of the row before.
+    /// Later than that of the row before; 0 in a table without times.
     pub time_s: f64,
     values: Vec<&'a str>,
 }
@@ -73,7 +74,7 @@ impl<'a> Columns<'a> {
                 "line {line}: the time {time_s} s is not later than {before_s} s before it; sort the file by time and drop repeated lines"
             )));
         }
-        self.before_s = Some(time_s);
+        self.before_s = self.time.map(|_| time_s);
         Ok(Some(row))
     }
 

@@ -1,4 +1,4 @@
-//! Text formats: camera, calibration, rig, sensor, GNSS and trajectory files.
+//! Text formats: camera, calibration, control, rig, sensor, GNSS and trajectory files.
 //!
 //! Nothing here opens a file: readers take text, writers return it. Readers accept any text without
 //! panicking, in time and memory proportional to its length, and report errors in one sentence.
@@ -6,6 +6,7 @@
 pub mod decimal;
 mod columns;
 pub mod camera_file;
+pub mod control_file;
 pub mod geojson;
 pub mod gnss_file;
 pub mod length;

@@ -156,7 +156,7 @@ impl Mapper {
     }
 
     /// The heights (odometry frame) at which two keyframes measure.
-    fn measured_m(&self, from: KeyframeId, to: KeyframeId) -> Option<[f64; 2]> {
+    pub(super) fn measured_m(&self, from: KeyframeId, to: KeyframeId) -> Option<[f64; 2]> {
         let height_m = |id| self.keyframe(id).map(|keyframe| keyframe.odometry_pose.height_m);
         Some([height_m(from)?, height_m(to)?])
     }

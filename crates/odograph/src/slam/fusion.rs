@@ -60,6 +60,10 @@ impl Mapper {
                 edge.motion = relative_motion(from, to);
             }
         }
+        self.rescale_sightings(|id| match (now.get(&id), before.get(&id)) {
+            (Some(now), Some(was)) => now.height_m / was.height_m,
+            _ => 1.0,
+        });
         self.rebuild();
     }
 }

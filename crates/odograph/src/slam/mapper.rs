@@ -8,6 +8,7 @@ use crate::geometry::{GroundPose, propagated};
 use crate::ground_map::{GroundMap, KeyframeImage, KeyframeStore, MapKeyframe};
 use crate::image::RgbImage;
 use crate::keyframe::{EdgeKind, KeyframeId, MapEdge};
+use crate::landmark::MarkerRecord;
 use crate::loop_closure::matching::{CameraIndex, CameraPose, Matcher};
 use crate::loop_closure::{LoopClosure, LoopClosureConfig};
 use crate::motion::MotionModel;
@@ -48,6 +49,10 @@ pub struct Mapper {
     pub(super) cameras: BTreeMap<u32, CameraIndex>,
     /// Whether loop closure is suspended to keep up with the camera.
     hurried: bool,
+    /// The markers that the session has seen.
+    pub(super) landmarks: MarkerRecord,
+    /// Whether the map is in the survey frame of its control points.
+    pub(super) is_surveyed: bool,
 }
 
 /// Which keyframes a new one is compared with.
@@ -65,7 +70,7 @@ pub(super) enum ComparedKeyframes {
 const STEPS_ON_THE_WAY: usize = 2;
 
 /// Maximum number of steps of the final optimisation.
-const STEPS_AT_THE_END: usize = 60;
+pub(super) const STEPS_AT_THE_END: usize = 60;
 
 /// A loop closure with a squared residual above this (in variances) triggers an optimisation at
 /// once.
@@ -88,6 +93,8 @@ impl Mapper {
             compared: ComparedKeyframes::All,
             cameras: BTreeMap::new(),
             hurried: false,
+            landmarks: MarkerRecord::default(),
+            is_surveyed: false,
             map: GroundMap {
                 camera: camera.clone(),
                 rig,
@@ -218,6 +225,15 @@ impl Mapper {
         Ok(())
     }
 
+    /// Number of the session's first keyframe.
+    pub(super) fn first_keyframe(&self) -> KeyframeId {
+        KeyframeId(self.first)
+    }
+
+    pub(super) fn heights(&self) -> Heights {
+        self.heights
+    }
+
     fn looks_for_loops(&self) -> bool {
         self.config.loops && !self.hurried
     }
@@ -234,6 +250,11 @@ impl Mapper {
             return;
         }
         self.graph.optimize(STEPS_AT_THE_END);
+        self.take_over_graph();
+    }
+
+    /// Copies poses and covariances of the optimised graph into the map.
+    pub(super) fn take_over_graph(&mut self) {
         self.take_over_poses();
         let covariances = self.graph.covariances();
         let found: BTreeMap<KeyframeId, _> = self.graph.poses().map(|(id, _)| id).zip(covariances).collect();
@@ -269,9 +290,10 @@ impl Mapper {
         &self.closures
     }
 
-    /// Whether there are loop closures: without them the map frame is the odometry frame.
+    /// Whether there are loop closures or the map was surveyed: without them the map frame is the
+    /// odometry frame.
     pub fn is_straightened(&self) -> bool {
-        self.map.edges.iter().any(|edge| edge.kind == EdgeKind::Loop)
+        self.is_surveyed || self.map.edges.iter().any(|edge| edge.kind == EdgeKind::Loop)
     }
 
     /// The mount's rotation per metre forward and per metre to the left as estimated from the loop

@@ -13,12 +13,14 @@ mod mapper;
 mod closing;
 mod correction;
 mod fusion;
+mod landmarks;
 mod localization;
 mod merge;
 mod fleet;
 
 pub use correction::{Straightening, Stretches, map_frames};
 pub use fleet::{FleetMapper, OdometryPlacement, SessionScale};
+pub use landmarks::{ControlUse, Landmark, Surveyed};
 pub use localization::Located;
 pub use mapper::Mapper;
 pub use merge::{Merged, merge, optimize};

@@ -63,6 +63,18 @@ pub struct RunArguments {
     pub budget_ms: Option<f64>,
     #[command(flatten)]
     pub sensors: SensorArguments,
+    /// Markers on the ground: family, dictionary and side of the black square.
+    ///
+    /// apriltag:36h11:80mm, or aruco:4x4_50:80mm and other dictionaries. A marker that is seen
+    /// again closes a loop, exactly and without confusing places.
+    #[arg(help_heading = "Estimation", long, value_name = "FAMILY:SIZE", conflicts_with = "no_loops")]
+    pub markers: Option<String>,
+    /// Surveyed places of markers (CSV: marker, x_m, y_m; sigma_m, heading_deg).
+    ///
+    /// Path and map are then in their frame and their metres: a wrong height is corrected, and a
+    /// wrong line is left out and named.
+    #[arg(help_heading = "Estimation", long, value_name = "FILE", requires = "markers")]
+    pub control: Option<PathBuf>,
     /// Do not look for ground that was seen before: the path is what odometry alone has.
     #[arg(help_heading = "Estimation", long)]
     pub no_loops: bool,
@@ -128,6 +140,7 @@ Examples:
   odograph run drive.mp4 --camera camera.yaml --height 90cm --gyro gyro.csv --wheel wheel.csv
   odograph run drive.mcap --topic /camera/image_raw --height 90cm --gyro-topic /imu -o drive/
   odograph run drive.mcap --height 90cm --bag-out poses.mcap -o drive/
+  odograph run drive.mp4 --camera camera.yaml --height 90cm --markers apriltag:36h11:80mm --control hall.csv
   odograph run drive/run.toml -o again/
   odograph run monday.mp4 --camera camera.yaml --height 1.20 --map hall.gpkg -o monday/
   odograph run monday.mp4 tuesday.mp4 --camera camera.yaml --height 1.20 -o week/
@@ -174,6 +187,8 @@ impl RunArguments {
         let run = self.mounted.of_run(run);
         let run = self.budget_ms.iter().fold(run, |run, budget_ms| run.budget_ms(*budget_ms));
         let run = self.reference.iter().fold(run, RunBuilder::reference);
+        let run = self.markers.iter().fold(run, RunBuilder::markers);
+        let run = self.control.iter().fold(run, RunBuilder::control);
         if self.no_loops { run.without_loops() } else { run }
     }
 
@@ -208,6 +223,8 @@ impl RunArguments {
             ("--gnss", self.sensors.gnss.is_some()),
             ("--gnss-topic", self.sensors.gnss_topic.is_some()),
             ("--gnss-start", self.sensors.gnss_start.is_some()),
+            ("--markers", self.markers.is_some()),
+            ("--control", self.control.is_some()),
             ("--no-loops", self.no_loops),
             ("--reference", self.reference.is_some()),
         ];

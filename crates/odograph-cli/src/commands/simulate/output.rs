@@ -8,7 +8,7 @@ use jpeg_encoder::{ColorType, Encoder};
 use odograph::error::{Error, Result};
 use odograph::filter::fusion::Sensors;
 use odograph::formats::trajectory_file::write_tum;
-use odograph::formats::{camera_file, rig_file, sensor_file};
+use odograph::formats::{camera_file, control_file, rig_file, sensor_file};
 use odograph::trajectory::{StampedPose, Trajectory};
 use odograph_simulation::{RenderedFrame, Simulation};
 use std::collections::BTreeMap;
@@ -22,7 +22,7 @@ use std::sync::mpsc;
 /// Quality of JPEG pictures; noise and texture survive.
 const JPEG_QUALITY: u8 = 93;
 /// Every file or folder that some run may write.
-const OURS: [&str; 12] = [
+const OURS: [&str; 13] = [
     "frames",
     "frames.txt",
     "sim.y4m",
@@ -35,6 +35,7 @@ const OURS: [&str; 12] = [
     "heading.csv",
     "wheel.csv",
     "range.csv",
+    "markers.csv",
 ];
 
 /// Where to and how.
@@ -127,7 +128,25 @@ impl SimulationOutput {
         ] {
             files::write(&self.folder.join(name), text.as_bytes())?;
         }
+        self.write_or_remove(
+            "markers.csv",
+            match simulation.markers() {
+                [] => None,
+                markers => Some(control_file::write(markers)),
+            },
+        )?;
         self.write_sensors(simulation)
+    }
+
+    /// Writes a file, or removes that of an earlier run.
+    fn write_or_remove(&self, name: &str, text: Option<String>) -> Result<()> {
+        let path = self.folder.join(name);
+        match text {
+            Some(text) => files::write(&path, text.as_bytes()),
+            None if path.exists() => fs::remove_file(&path)
+                .map_err(|error| Error::output(format!("{} cannot be removed: {error}", path.display()))),
+            None => Ok(()),
+        }
     }
 
     /// The readings of the other sensors; without sensors, removes those of an earlier run.
@@ -139,14 +158,7 @@ impl SimulationOutput {
             ("wheel.csv", records.wheel),
             ("range.csv", records.range),
         ] {
-            let path = self.folder.join(name);
-            match record {
-                Some(record) => files::write(&path, sensor_file::write(&record).as_bytes())?,
-                None if path.exists() => fs::remove_file(&path).map_err(|error| {
-                    Error::output(format!("{} cannot be removed: {error}", path.display()))
-                })?,
-                None => {}
-            }
+            self.write_or_remove(name, record.as_ref().map(sensor_file::write))?;
         }
         Ok(())
     }

@@ -6,6 +6,7 @@ use odograph::camera::{Camera, Rig};
 use odograph::error::{Error, Result};
 use odograph::formats::camera_file;
 use odograph::geometry::Pixel;
+use odograph_calibration::MarkerFamily;
 use odograph_simulation::{
     Blackout, Breathing, Bumper, Dirt, Effects, ExposureJumps, Kerb, Lamp, Lighting, MovingObject, Path,
     PathKind, Ramp, Relief, SensorErrors, Shadow, SimulatedSensors, SimulationConfig, SlowVariation, Sway,
@@ -30,6 +31,8 @@ pub struct Parameters {
     color: bool,
     size_px: [usize; 2],
     camera: Option<String>,
+    #[serde(skip_serializing_if = "Option::is_none")]
+    markers: Option<String>,
     path: PathKind,
     rig: Rig,
     effects: Effects,
@@ -54,6 +57,24 @@ pub struct VibrationOption(Vibration);
 /// A number and a second one that may be left out.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Pair(f64, Option<f64>);
+
+/// `--markers` as it was typed.
+#[derive(Debug, Clone, PartialEq)]
+pub struct MarkersOption {
+    pub family: MarkerFamily,
+    pub spacing_m: f64,
+    text: String,
+}
+
+/// `apriltag:36h11:80mm:10m`.
+pub fn parse_markers(text: &str) -> std::result::Result<MarkersOption, String> {
+    let (family, spacing) = text
+        .rsplit_once(':')
+        .filter(|(family, _)| family.matches(':').count() == 2)
+        .ok_or("markers are written as FAMILY:SIZE:SPACING, for example apriltag:36h11:80mm:10m")?;
+    let family = family.parse::<MarkerFamily>().map_err(|error| error.to_string())?;
+    Ok(MarkersOption { family, spacing_m: lengths::metres(spacing)?, text: text.to_owned() })
+}
 
 /// Builds the scene that the options describe, and returns it with its parameters.
 pub fn from_arguments(arguments: &SimulateArguments) -> Result<(SimulationConfig, Parameters)> {
@@ -94,6 +115,7 @@ pub fn from_arguments(arguments: &SimulateArguments) -> Result<(SimulationConfig
         color: arguments.color,
         size_px: [config.camera.width(), config.camera.height()],
         camera: arguments.camera.as_ref().map(|file| file.display().to_string()),
+        markers: arguments.markers.as_ref().map(|markers| markers.text.clone()),
         path: kind,
         rig,
         effects,
@@ -329,6 +351,9 @@ mod tests {
         assert_eq!(parse_cm_m("50mm:150cm"), Ok(Pair(5.0, Some(1.5))));
         assert_eq!(parse_mm_cm("8:3"), Ok(Pair(8.0, Some(3.0))));
         assert!(parse_mm_cm("8 apples").unwrap_err().contains("90cm"));
+        assert_eq!(parse_markers("apriltag:36h11:80mm:10m").unwrap().spacing_m, 10.0);
+        assert!(parse_markers("apriltag:36h11:80mm").unwrap_err().contains("FAMILY:SIZE:SPACING"));
+        assert!(parse_markers("apriltag:99:80mm:1m").unwrap_err().contains("there is no family"));
         assert!(parse_pair("5:").is_err() && parse_pair("high").is_err() && parse_pair("1:2:3").is_err());
         assert!(parse_blackout("4:2.5").is_err() && parse_blackout("4").is_err());
     }

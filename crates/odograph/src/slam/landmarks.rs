@@ -1,0 +1,252 @@
+//! Markers in the map: sightings of the same number close loops, and surveyed ones place the map in
+//! the survey frame.
+
+use super::Mapper;
+use super::mapper::STEPS_AT_THE_END;
+use crate::error::Result;
+use crate::geometry::{Se2, Sim2, wrap_angle};
+use crate::ground_map::KeyframeStore;
+use crate::keyframe::relative_pose::{compose, inverse};
+use crate::keyframe::{KeyframeId, MapEdge};
+use crate::landmark::{ControlPoint, MarkerSighting, PlacedSighting};
+use crate::pose_graph::{AbsoluteEdge, AbsoluteUse, Heights, Placed, Unplaceable};
+use nalgebra::{Matrix2, Matrix3, Vector2, Vector3};
+use std::collections::BTreeMap;
+
+/// A place of a marker in the map.
+#[derive(Debug, Clone, PartialEq)]
+pub struct Landmark {
+    /// Number of the marker.
+    pub number: u32,
+    /// Where it is in the map frame: its centre, and the direction of its top as printed.
+    pub pose: Se2,
+    /// Root mean square distance of its sightings from there, metres.
+    pub spread_m: f64,
+    /// Number of its sightings.
+    pub sightings: usize,
+    /// How many times the camera came to it.
+    pub visits: usize,
+    /// Mean side of its black square as seen, metres.
+    pub side_m: f64,
+    /// Whether another place has the same number and more sightings.
+    pub is_double: bool,
+    /// What became of its control point: its distance from there, and how many of its sightings
+    /// were used; `None` if it has none.
+    pub control: Option<ControlUse>,
+}
+
+/// What became of the control point of a landmark.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct ControlUse {
+    /// Median distance of its sightings from the control point, metres.
+    pub off_m: f64,
+    /// Sightings that were used; the others contradict.
+    pub used: usize,
+}
+
+/// The map in the survey frame.
+#[derive(Debug, Clone, PartialEq)]
+pub struct Surveyed {
+    /// From the frame that the map had before, that of its first keyframe.
+    pub survey_from_map: Sim2,
+    /// Standard deviation of its scale; 0 where the control points show none, and it is 1.
+    pub scale_sigma: f64,
+    /// What became of each sighting of a surveyed marker.
+    uses: BTreeMap<usize, AbsoluteUse>,
+}
+
+/// Keyframes since the last sighting of a marker after which it counts as come back to.
+const AWAY: u64 = 8;
+/// Squared residual of a tie, three normal numbers, that one in a thousand exceeds.
+const GATE_SQUARED: f64 = 16.3;
+/// Factor of the standard deviations of the path between two sightings, and what it may be off
+/// besides, metres and radians: only another place is to fail, not a drift.
+const PATH_FACTOR: f64 = 3.0;
+const PATH_OFF: (f64, f64) = (0.02, 0.02);
+
+impl Mapper {
+    /// Ties the keyframe of the run that was taken last to those that have shown the same markers.
+    /// Fails if an edge cannot be stored.
+    pub fn see(&mut self, sightings: &[MarkerSighting], images: &mut dyn KeyframeStore) -> Result<()> {
+        for sighting in sightings {
+            let keyframe = KeyframeId(self.first_keyframe().0 + sighting.keyframe.0);
+            if self.keyframe(keyframe).is_some() {
+                self.see_one(MarkerSighting { keyframe, ..*sighting }, images)?;
+            }
+        }
+        self.settle_where_due();
+        Ok(())
+    }
+
+    fn see_one(&mut self, sighting: MarkerSighting, images: &mut dyn KeyframeStore) -> Result<()> {
+        let same = |at: &&PlacedSighting| at.sighting.number == sighting.number;
+        let known = self.landmarks.sightings.iter().filter(same);
+        let places = known.clone().map(|at| at.place + 1).max().unwrap_or(0);
+        for place in 0..places {
+            let of_place: Vec<PlacedSighting> =
+                known.clone().filter(|at| at.place == place).copied().collect();
+            let Some(last) = of_place.last() else { continue };
+            let first_visit = of_place.iter().filter(|at| at.visit == 0).count();
+            let returns = last.sighting.keyframe.0 + AWAY < sighting.keyframe.0;
+            let visit = last.visit + usize::from(returns);
+            let of_visit = of_place.iter().filter(|at| at.visit == visit).count();
+            let to = if visit == 0 { *last } else { of_place[of_visit % first_visit.max(1)] };
+            let Some(tie) = self.marker_tie(&to.sighting, &sighting) else { continue };
+            if !self.may_be(&tie) {
+                continue;
+            }
+            let placement = PlacedSighting { sighting, place, visit };
+            self.landmarks.sightings.push(placement);
+            // What neighbours share is known better from the ground around it.
+            return if visit == 0 { Ok(()) } else { self.close(tie, images) };
+        }
+        self.landmarks.sightings.push(PlacedSighting { sighting, place: places, visit: 0 });
+        Ok(())
+    }
+
+    fn marker_tie(&self, from: &MarkerSighting, to: &MarkerSighting) -> Option<MapEdge> {
+        let heights_m = self.measured_m(from.keyframe, to.keyframe)?;
+        Some(from.tie(to, heights_m, self.heights() == Heights::Held))
+    }
+
+    /// Whether the path allows a tie: whether the marker can be the same.
+    fn may_be(&self, tie: &MapEdge) -> bool {
+        let reached = self.graph.reach(tie.from).and_then(|mut reach| reach.to(tie.to));
+        let Some(reached) = reached.filter(|reached| !reached.across_gap) else { return true };
+        let off = (tie.motion - reached.motion).xyz();
+        let off = Vector3::new(off.x, off.y, wrap_angle(off.z));
+        let path = reached.covariance.fixed_view::<3, 3>(0, 0).into_owned() * PATH_FACTOR.powi(2);
+        let (off_m, off_rad) = PATH_OFF;
+        let besides = Matrix3::from_diagonal(&Vector3::new(off_m * off_m, off_m * off_m, off_rad * off_rad));
+        let covariance = path + besides + tie.covariance.fixed_view::<3, 3>(0, 0);
+        covariance.try_inverse().is_some_and(|information| off.dot(&(information * off)) <= GATE_SQUARED)
+    }
+
+    /// Adds a tie; a part of the map that nothing measured connects yet comes to where it was seen.
+    fn close(&mut self, tie: MapEdge, images: &mut dyn KeyframeStore) -> Result<()> {
+        if let (Some(from), Some(measured_m)) = (self.graph.pose(tie.from), self.measured_m(tie.from, tie.to))
+        {
+            let seen = compose(&from, &tie.motion, from.height_m / measured_m[0]);
+            if !self.graph.bring(tie.to, &seen, tie.from)
+                && let Some(to) = self.graph.pose(tie.to)
+            {
+                let back = inverse(&tie.motion, measured_m);
+                let seen = compose(&to, &back, to.height_m / measured_m[1]);
+                self.graph.bring(tie.from, &seen, tie.to);
+            }
+        }
+        self.landmarks.ties += 1;
+        self.add(tie, images)
+    }
+
+    /// Number of edges that markers made.
+    pub fn marker_ties(&self) -> usize {
+        self.landmarks.ties
+    }
+
+    /// Number of sightings of markers.
+    pub fn marker_sightings(&self) -> usize {
+        self.landmarks.sightings.len()
+    }
+
+    /// Metres of the keyframes have become longer by these factors.
+    pub(super) fn rescale_sightings(&mut self, factor: impl Fn(KeyframeId) -> f64) {
+        for at in &mut self.landmarks.sightings {
+            at.sighting = at.sighting.rescaled(factor(at.sighting.keyframe));
+        }
+    }
+
+    /// Places the map in the survey frame of its control points, at the end of a session after
+    /// [`Mapper::finish`]: keyframes are optimised again together with the placement, and all poses
+    /// are then in the survey frame, in its metres.
+    ///
+    /// # Errors
+    /// The reason why the map stays in its own frame; it is then not changed.
+    pub fn survey(&mut self, control: &[ControlPoint]) -> std::result::Result<Surveyed, Unplaceable> {
+        let control: BTreeMap<u32, &ControlPoint> = control.iter().map(|at| (at.number, at)).collect();
+        let mut counts: BTreeMap<(u32, usize), usize> = BTreeMap::new();
+        for at in &self.landmarks.sightings {
+            *counts.entry((at.sighting.number, at.place)).or_default() += 1;
+        }
+        let (mut edges, mut index) = (Vec::new(), Vec::new());
+        for (at, PlacedSighting { sighting, place, .. }) in self.landmarks.sightings.iter().enumerate() {
+            let Some(point) = control.get(&sighting.number) else { continue };
+            let count = counts.get(&(sighting.number, *place)).copied().unwrap_or(1) as f64;
+            let Se2 { x_m, y_m, heading_rad } = sighting.keyframe_from_marker;
+            index.push(at);
+            edges.push(AbsoluteEdge {
+                keyframe: sighting.keyframe,
+                point_m: Vector2::new(x_m, y_m),
+                direction_rad: heading_rad,
+                covariance: sighting.covariance,
+                place_m: Vector2::new(point.x_m, point.y_m),
+                // All sightings of a marker share the error of its place.
+                place_covariance_m2: Matrix2::from_diagonal_element(point.sigma_m.powi(2) * count),
+                heading: point
+                    .heading_rad
+                    .map(|heading_rad| (heading_rad, ControlPoint::HEADING_SIGMA_RAD.powi(2) * count)),
+            });
+        }
+        let Placed { survey_from_graph, scale_sigma, uses } =
+            self.graph.place(&edges, None, STEPS_AT_THE_END)?;
+        self.graph.adopt_survey_frame();
+        self.is_surveyed = true;
+        self.take_over_graph();
+        let uses = index.into_iter().zip(uses).collect();
+        Ok(Surveyed { survey_from_map: survey_from_graph, scale_sigma, uses })
+    }
+
+    /// The markers of the session where the final map has them, in order of their numbers.
+    pub fn landmarks(&self, surveyed: Option<&Surveyed>) -> Vec<Landmark> {
+        let mut of_place: BTreeMap<(u32, usize), Vec<usize>> = BTreeMap::new();
+        for (at, PlacedSighting { sighting, place, .. }) in self.landmarks.sightings.iter().enumerate() {
+            of_place.entry((sighting.number, *place)).or_default().push(at);
+        }
+        let mut most: BTreeMap<u32, (usize, usize)> = BTreeMap::new();
+        for (&(number, place), sightings) in &of_place {
+            let best = most.entry(number).or_insert((0, place));
+            if sightings.len() > best.0 {
+                *best = (sightings.len(), place);
+            }
+        }
+        let landmark = |(&(number, place), at): (&(u32, usize), &Vec<usize>)| {
+            let poses: Vec<Se2> = at.iter().filter_map(|&at| self.in_map_frame(at)).collect();
+            let count = poses.len().max(1) as f64;
+            let sum = poses.iter().fold(Vector2::zeros(), |sum, pose| sum + Vector2::new(pose.x_m, pose.y_m));
+            let centre = sum / count;
+            let (sin, cos) = poses.iter().fold((0.0, 0.0), |(sin, cos), pose| {
+                (sin + pose.heading_rad.sin(), cos + pose.heading_rad.cos())
+            });
+            let off_m2 = |pose: &Se2| (Vector2::new(pose.x_m, pose.y_m) - centre).norm_squared();
+            let sightings = || at.iter().map(|&at| &self.landmarks.sightings[at]);
+            let control = surveyed.and_then(|surveyed| {
+                let mut uses: Vec<AbsoluteUse> =
+                    at.iter().filter_map(|at| surveyed.uses.get(at).copied()).collect();
+                uses.sort_by(|a, b| a.off_m.total_cmp(&b.off_m));
+                let used = uses.iter().filter(|of| of.used).count();
+                uses.get(uses.len() / 2).map(|middle| ControlUse { off_m: middle.off_m, used })
+            });
+            Landmark {
+                number,
+                pose: Se2::new(centre.x, centre.y, sin.atan2(cos)),
+                spread_m: (poses.iter().map(off_m2).sum::<f64>() / count).sqrt(),
+                sightings: at.len(),
+                visits: sightings().map(|at| at.visit + 1).max().unwrap_or(0),
+                side_m: sightings().map(|at| at.sighting.side_m).sum::<f64>() / at.len().max(1) as f64,
+                is_double: most.get(&number).is_some_and(|best| best.1 != place),
+                control,
+            }
+        };
+        of_place.iter().map(landmark).collect()
+    }
+
+    fn in_map_frame(&self, at: usize) -> Option<Se2> {
+        let sighting = &self.landmarks.sightings.get(at)?.sighting;
+        let keyframe = self.keyframe(sighting.keyframe)?;
+        let scale = keyframe.pose.height_m / keyframe.odometry_pose.height_m;
+        let map_from_keyframe = Sim2 { scale, ..Sim2::rigid(&keyframe.pose.se2()) };
+        let Sim2 { x_m, y_m, heading_rad, .. } =
+            map_from_keyframe * Sim2::rigid(&sighting.keyframe_from_marker);
+        Some(Se2::new(x_m, y_m, heading_rad))
+    }
+}
