@@ -14,8 +14,10 @@ use odograph::formats::geojson::{self, Feature};
 use odograph::formats::gnss_file;
 use odograph::geometry::EarthPosition;
 use odograph::georeference::{AntennaPosition, Georeference, GnssFix, georeference};
+use odograph::keyframe::KeyframeId;
 use odograph::pose_frame::PoseFrames;
-use odograph::trajectory::{FrameSummary, PlaceSummary};
+use odograph::slam::{AntennaFix, Bent};
+use odograph::trajectory::{FrameEstimate, FrameSummary, PlaceSummary};
 use std::fmt::Write;
 
 /// The path on Earth as GeoJSON, its frames with UTM coordinates, and the mosaic in UTM.
@@ -67,8 +69,43 @@ impl GnssRecord {
         Some((self.fixes.first()?.time_s, self.fixes.last()?.time_s))
     }
 
-    /// Places a run on Earth.
-    pub fn place(&self, plan: &RunPlan, path: &[AntennaPosition], frames: &[FrameSummary]) -> OnEarth {
+    /// The fixes on the path, and where that is on Earth as it is; `None` if it has no place there.
+    /// `path` is in the map frame, `measured` as [`measured_path`] has it.
+    pub fn antenna_fixes(
+        &self,
+        path: &[AntennaPosition],
+        measured: &[(AntennaPosition, KeyframeId)],
+    ) -> Option<(Vec<AntennaFix>, Georeference)> {
+        let found = georeference(path, &self.fixes, self.clock_sigma_s).ok()?;
+        let on_path = |fix: &GnssFix| {
+            let time_s = fix.time_s - found.clock_offset_s;
+            let next = measured.partition_point(|(at, _)| at.time_s <= time_s);
+            let (before, keyframe) = measured.get(next.checked_sub(1)?)?;
+            let (after, _) = measured.get(next)?;
+            let step_s = after.time_s - before.time_s;
+            if before.segment != after.segment || step_s <= 0.0 || step_s > AntennaPosition::LONGEST_STEP_S {
+                return None;
+            }
+            let share = (time_s - before.time_s) / step_s;
+            Some(AntennaFix {
+                keyframe: *keyframe,
+                position_m: before.position_m.lerp(&after.position_m, share),
+                covariance_m2: before.covariance_m2,
+                place_m: found.anchor.in_plane_m(fix.place),
+                place_covariance_m2: fix.covariance_m2,
+            })
+        };
+        Some((self.fixes.iter().filter_map(on_path).collect(), found))
+    }
+
+    /// Places a run on Earth; `bent` is what the positions have changed of the map.
+    pub fn place(
+        &self,
+        plan: &RunPlan,
+        path: &[AntennaPosition],
+        frames: &[FrameSummary],
+        bent: Option<Bent>,
+    ) -> OnEarth {
         let span_s = frames.first().zip(frames.last()).map(|(first, last)| (first.time_s, last.time_s));
         let apart = self.span_s().zip(span_s).filter(|(own, run)| own.0 > run.1 || own.1 < run.0);
         let reason = match (apart, georeference(path, &self.fixes, self.clock_sigma_s)) {
@@ -85,7 +122,7 @@ impl GnssRecord {
             }
             (None, Err(reason)) => reason.to_string(),
             (None, Ok(found)) => {
-                let statistics = GnssStatistics::of(&self.fixes, &found);
+                let statistics = GnssStatistics::of(&self.fixes, &found, bent);
                 let warnings = statistics.warnings(&self.name, plan.rig.height_m);
                 return OnEarth { statistics, warnings, place: Some(found) };
             }
@@ -113,22 +150,52 @@ pub fn antenna_path(
     of: &PoseFrames,
     antenna: Option<&LeverArm>,
 ) -> Result<Vec<AntennaPosition>> {
-    let arm = antenna.map_or_else(Point3::origin, |arm| Point3::new(arm.x_m, arm.y_m, arm.z_m));
     let mut path = Vec::with_capacity(frames.posed());
     frames.each(|frame, _| {
-        let own = of.at(frame.frame);
-        if let Some(known) = &own.frame(frame).estimate {
-            let there = own.world_from_frame(&known.pose) * arm;
-            path.push(AntennaPosition {
-                time_s: frame.time_s,
-                position_m: Vector2::new(there.x, there.y),
-                covariance_m2: known.covariance.fixed_view::<2, 2>(0, 0).into_owned(),
-                segment: frame.segment,
-            });
+        path.extend(antenna_position(frame, of, antenna));
+        Ok(())
+    })?;
+    Ok(path)
+}
+
+/// The path of the antenna in the odometry frame, each position with the keyframe that its frame
+/// was measured against and its covariance from there.
+pub fn measured_path(
+    frames: &mut KeptFrames,
+    of: &PoseFrames,
+    antenna: Option<&LeverArm>,
+) -> Result<Vec<(AntennaPosition, KeyframeId)>> {
+    let mut path = Vec::with_capacity(frames.posed());
+    frames.each(|frame, reference| {
+        if let Some((known, reference)) = frame.estimate.as_ref().zip(reference) {
+            let own = known.measured.covariance.fixed_view::<2, 2>(0, 0).into_owned();
+            path.extend(
+                antenna_position(frame, of, antenna)
+                    .map(|at| (AntennaPosition { covariance_m2: own, ..at }, reference.keyframe)),
+            );
         }
         Ok(())
     })?;
     Ok(path)
+}
+
+/// Where the antenna was at a frame.
+fn antenna_position(
+    frame: &FrameEstimate,
+    of: &PoseFrames,
+    antenna: Option<&LeverArm>,
+) -> Option<AntennaPosition> {
+    let arm = antenna.map_or_else(Point3::origin, |arm| Point3::new(arm.x_m, arm.y_m, arm.z_m));
+    let own = of.at(frame.frame);
+    let seen = own.frame(frame);
+    let known = seen.estimate.as_ref()?;
+    let there = own.world_from_frame(&known.pose) * arm;
+    Some(AntennaPosition {
+        time_s: frame.time_s,
+        position_m: Vector2::new(there.x, there.y),
+        covariance_m2: known.covariance.fixed_view::<2, 2>(0, 0).into_owned(),
+        segment: frame.segment,
+    })
 }
 
 /// Result of the satellite receiver.

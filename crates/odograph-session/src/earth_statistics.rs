@@ -1,6 +1,7 @@
 //! Where on Earth a run was, for `stats.json` and for people.
 
 use odograph::georeference::{FixUse, Georeference, GnssFix};
+use odograph::slam::Bent;
 use serde::Serialize;
 
 /// Result of the satellite receiver, as in `stats.json`.
@@ -39,10 +40,13 @@ pub struct EarthStatistics {
     pub sigma_north_m: f64,
     /// Root mean square distance of the used positions from the path, metres.
     pub rmse_m: f64,
-    /// Length on Earth of a metre of the world; 1 unless the positions show another.
+    /// Length on Earth of a metre as odometry measured it; 1 unless the positions show another.
     pub scale: f64,
     /// Its standard deviation; 0 where it was not estimated.
     pub sigma_scale: f64,
+    /// Whether the positions showed that the path has drifted or is of another scale, and path and
+    /// map are corrected.
+    pub bent: bool,
     /// The receiver's time less the camera's, seconds.
     pub clock_offset_s: f64,
     /// Its standard deviation, seconds.
@@ -64,7 +68,12 @@ pub struct GnssOutlier {
 const MOST_OUTLIERS: usize = 100;
 
 impl GnssStatistics {
-    pub(crate) fn of(fixes: &[GnssFix], found: &Georeference) -> Self {
+    pub(crate) fn of(fixes: &[GnssFix], found: &Georeference, bent: Option<Bent>) -> Self {
+        // The path already has the metres that the map was bent to.
+        let (scale, scale_sigma) = match bent {
+            Some(bent) => (bent.scale * found.scale, bent.scale_sigma.hypot(found.scale_sigma)),
+            None => (found.scale, found.scale_sigma),
+        };
         let outliers: Vec<GnssOutlier> = fixes
             .iter()
             .zip(&found.fixes)
@@ -90,8 +99,9 @@ impl GnssStatistics {
                 sigma_east_m: found.shift_covariance_m2[(0, 0)].sqrt(),
                 sigma_north_m: found.shift_covariance_m2[(1, 1)].sqrt(),
                 rmse_m: found.rmse_m,
-                scale: found.scale,
-                sigma_scale: found.scale_sigma,
+                scale,
+                sigma_scale: scale_sigma,
+                bent: bent.is_some(),
                 clock_offset_s: found.clock_offset_s,
                 sigma_clock_offset_s: found.clock_offset_sigma_s,
                 outliers: outliers.into_iter().take(MOST_OUTLIERS).collect(),
@@ -110,10 +120,13 @@ impl GnssStatistics {
                 self.rejected, self.fixes, farthest.time_s, farthest.off_m
             )
         });
+        let corrected = match place.bent {
+            true => "path and map are corrected",
+            false => "positions on Earth have that scale, all else the given one",
+        };
         let scale = (place.scale != 1.0).then(|| {
             format!(
-                "by {name} a metre of the path is {:.4} ± {:.4} m on Earth: the camera is rather {:.4} m high; positions on \
-                 Earth have that scale, all else the given one",
+                "by {name} a metre of the path is {:.4} ± {:.4} m on Earth: the camera is rather {:.4} m high; {corrected}",
                 place.scale,
                 place.sigma_scale,
                 height_m * place.scale

@@ -30,6 +30,7 @@ use odograph::formats::camera_file;
 use odograph::formats::trajectory_file::{SMOOTHED_HEADER, smoothed_line};
 use odograph::mosaic::Mosaic;
 use odograph::pose_frame::{PoseFrame, PoseFrames};
+use odograph::slam::Bent;
 use odograph::trajectory::{FrameSummary, TrackStatus, distance_m};
 use std::collections::BTreeMap;
 use std::path::Path;
@@ -102,6 +103,8 @@ struct Improved {
     sensors: Vec<SensorReport>,
     loops: LoopStatistics,
     markers: Option<MarkerStatistics>,
+    /// What a satellite receiver changed of the map.
+    bent: Option<Bent>,
 }
 
 /// What the loops, the markers and the satellite receiver said of the path.
@@ -209,7 +212,24 @@ impl Finishing<'_> {
             (reckoned, reports) = (fusion.reckoned, fusion.reports);
         }
         let frames = fused.as_mut().unwrap_or(&mut tracked.frames);
-        let straight = tracked.mapping.straighten(frames, !reckoned.is_empty(), self.folder.path())?;
+        tracked.mapping.finish();
+        let (moves, folder) = (!reckoned.is_empty(), self.folder.path());
+        let mut straight = tracked.mapping.straighten(frames, moves, folder)?;
+        let mut bent = None;
+        if let Some(gnss) = self.ending.gnss {
+            let mut carrier = PoseFrames::of_carrier(&self.plan.rig);
+            tracked.recalibrated.iter().for_each(|(frame, rig)| carrier.recalibrate(*frame, rig));
+            let antenna = self.plan.antenna.as_ref();
+            let measured = earth::measured_path(frames, &carrier, antenna)?;
+            let path =
+                earth::antenna_path(straight.frames.as_mut().unwrap_or(&mut *frames), &carrier, antenna)?;
+            bent = gnss
+                .antenna_fixes(&path, &measured)
+                .and_then(|(fixes, found)| tracked.mapping.bend_to(&fixes, &found));
+            if bent.is_some() {
+                straight = tracked.mapping.straighten(frames, moves, folder)?;
+            }
+        }
         let reckoned = reckoned.moved_with(&straight.moves);
         let loops = tracked.mapping.statistics(&straight);
         tracked.warnings.extend(tracked.mapping.warning());
@@ -218,7 +238,14 @@ impl Finishing<'_> {
             tracked.warnings.extend(warnings);
             statistics
         });
-        Ok(Improved { corrected: straight.frames.or(fused), reckoned, sensors: reports, loops, markers })
+        Ok(Improved {
+            corrected: straight.frames.or(fused),
+            reckoned,
+            sensors: reports,
+            loops,
+            markers,
+            bent,
+        })
     }
 
     /// Writes the trajectories, the map's keyframes, and the paths derived from the frames.
@@ -345,7 +372,7 @@ impl Finishing<'_> {
                     &carrier,
                     self.plan.antenna.as_ref(),
                 )?;
-                Some(gnss.place(self.plan, &path, frames))
+                Some(gnss.place(self.plan, &path, frames, improved.bent))
             }
             None => None,
         };

@@ -13,14 +13,14 @@ use crate::timings::{StageTime, Timings};
 use odograph::camera::{Camera, Rig};
 use odograph::error::{Error, Result};
 use odograph::geometry::{GroundPoint, GroundPose, Sim2};
-use odograph::georeference::Anchor;
+use odograph::georeference::{Anchor, Georeference};
 use odograph::ground_map::{KeyframeImage, KeyframeImages, MapKeyframe, MountedCamera};
 use odograph::ground_map::{KeyframeStore, MemoryImages};
 use odograph::keyframe::{EdgeKind, KeyframeId, MapEdge};
 use odograph::mosaic::Mosaic;
 use odograph::numerics::median;
 use odograph::odometry::{FrameReference, KeyframeEvent};
-use odograph::slam::{Mapper, Stretches};
+use odograph::slam::{AntennaFix, Bent, Mapper, Stretches};
 use odograph::trajectory::FrameEstimate;
 use odograph_map::{MapClaim, MapFile, PathFrame};
 use odograph_video::Frame;
@@ -154,14 +154,23 @@ impl Mapping {
         self.mapper.take_over(raw, fused, references);
     }
 
-    /// Finishes the map and transforms the frames into the map frame; with the correction of each
-    /// where `moves` are requested. Writes no output file. Fails where the frames cannot be read
-    /// back.
-    pub fn straighten(&mut self, frames: &mut KeptFrames, moves: bool, folder: &Path) -> Result<Straight> {
+    /// Finishes the map: optimises it, and places it in the survey frame of its control points.
+    pub fn finish(&mut self) {
         self.mapper.finish();
         if let Some(markers) = &mut self.markers {
             markers.survey(&mut self.mapper);
         }
+    }
+
+    /// Bends the finished map to the positions of a satellite receiver, where these show that it
+    /// has drifted ([`Mapper::bend_to`]).
+    pub fn bend_to(&mut self, fixes: &[AntennaFix], found: &Georeference) -> Option<Bent> {
+        self.mapper.bend_to(fixes, &found.anchor.plane_from_map(), found.spread)
+    }
+
+    /// Transforms the frames into the frame of the finished map; with the correction of each where
+    /// `moves` are requested. Writes no output file. Fails where the frames cannot be read back.
+    pub fn straighten(&mut self, frames: &mut KeptFrames, moves: bool, folder: &Path) -> Result<Straight> {
         // A new frame of reference is no correction.
         let surveyed = self.markers.as_ref().and_then(|markers| markers.surveyed.as_ref()?.as_ref().ok());
         let frame_moved = surveyed.map(|surveyed| surveyed.survey_from_map);

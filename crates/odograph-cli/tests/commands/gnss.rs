@@ -175,6 +175,42 @@ fn rtk_puts_the_path_on_earth_within_a_centimetre() {
 }
 
 #[test]
+fn a_wrong_height_is_corrected_in_path_and_map() {
+    let drive = Drive::new();
+    let here = drive.here();
+    fs::write(here.join("rtk.csv"), drive.csv()).unwrap();
+    let armed = fs::read_to_string(here.join("armed.toml")).unwrap();
+    assert!(armed.contains("height_m = 0.75"), "{armed}");
+    fs::write(here.join("armed.toml"), armed.replace("height_m = 0.75", "height_m = 0.8")).unwrap();
+    let message = drive.run("--gnss rtk.csv -o rtk");
+    assert!(message.contains("path and map are corrected"), "{message}");
+    let gnss = &drive.statistics("rtk")["gnss"];
+    let scale = gnss["scale"].as_f64().unwrap();
+    assert!((scale - 0.75 / 0.8).abs() < 0.01 && gnss["bent"] == true, "{gnss}");
+    assert!(drive.off_m("rtk") < 0.02, "{}", drive.off_m("rtk"));
+    // The trajectory has the true size, too.
+    let found = parse_tum(&fs::read_to_string(here.join("rtk/trajectory.tum")).unwrap()).unwrap();
+    let truth = Trajectory {
+        poses: drive
+            .truth
+            .poses
+            .iter()
+            .map(|pose| odograph::trajectory::StampedPose {
+                world_from_camera: pose.world_from_camera * drive.camera_from_base,
+                ..*pose
+            })
+            .collect(),
+    };
+    // The robot's path begins at its own origin and heading; the diagonal of the eight is its size.
+    let size = |of: &Trajectory| {
+        let first = of.poses[0].world_from_camera.translation.vector;
+        let off = of.poses.iter().map(|pose| (pose.world_from_camera.translation.vector - first).xy().norm());
+        off.fold(0.0, f64::max)
+    };
+    assert!((size(&found) / size(&truth) - 1.0).abs() < 0.01, "{} {}", size(&found), size(&truth));
+}
+
+#[test]
 fn sentences_with_the_time_of_day_are_aligned_by_the_start() {
     let drive = Drive::new();
     let text: String = drive

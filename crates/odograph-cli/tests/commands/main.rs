@@ -15,6 +15,7 @@ mod ground;
 mod hostile;
 mod many;
 mod map;
+mod markers;
 mod pattern;
 mod profile;
 mod recordings;

@@ -1,7 +1,8 @@
 //! Where on Earth a map is.
 
 use crate::error::{Error, Result};
-use crate::geometry::{EarthPosition, TangentPlane};
+use crate::geometry::{EarthPosition, Sim2, TangentPlane};
+use nalgebra::Vector2;
 
 /// A map's place on Earth: a similarity from the map to metres east and north of a reference.
 #[derive(Debug, Clone, Copy, PartialEq)]
@@ -58,6 +59,18 @@ impl Anchor {
             self.origin_m[0] + x_m * along - y_m * across,
             self.origin_m[1] + x_m * across + y_m * along,
         ])
+    }
+
+    /// A place in the plane at the reference: east and north, metres.
+    pub fn in_plane_m(&self, place: EarthPosition) -> Vector2<f64> {
+        Vector2::from(self.plane.point(place))
+    }
+
+    /// The similarity from the map to that plane.
+    pub fn plane_from_map(&self) -> Sim2 {
+        let [along, across] = self.along;
+        let [x_m, y_m] = self.origin_m;
+        Sim2 { x_m, y_m, heading_rad: across.atan2(along), scale: along.hypot(across) }
     }
 
     /// Compass heading of a direction of the map (counter-clockwise from its x), radians, 0 to 2π.

@@ -16,9 +16,6 @@ const NORTH: usize = 2;
 pub const CLOCK: usize = 3;
 pub const SCALE: usize = 4;
 
-/// Longest time between two frames over which the path is interpolated, seconds.
-const LONGEST_STEP_S: f64 = 1.0;
-
 /// A fix with the path at its time.
 #[derive(Debug, Clone, Copy)]
 pub struct Pair {
@@ -53,7 +50,7 @@ impl Pairing<'_> {
         let (before, after) = (&self.path[next.checked_sub(1)?], &self.path[next]);
         let step_s = after.time_s - before.time_s;
         let within = (before.time_s..=after.time_s).contains(&time_s);
-        let is_step = step_s > 0.0 && step_s <= LONGEST_STEP_S;
+        let is_step = step_s > 0.0 && step_s <= AntennaPosition::LONGEST_STEP_S;
         if !within || !is_step || before.segment != after.segment {
             return None;
         }
@@ -104,6 +101,8 @@ pub struct Fitted {
     pub middle_m: Vector2<f64>,
     pub covariance: Matrix5<f64>,
     pub used: Vec<Pair>,
+    /// Robust variance of the residuals of all fixes in units of the stated one.
+    pub spread: f64,
 }
 
 impl Fitted {
@@ -136,6 +135,7 @@ pub fn fit(pairing: &Pairing<'_>, clock_sigma_s: f64) -> Option<Fitted> {
     let gain = (cost(&rigid) - cost(&scaled)) / correlated;
     let with_scale = gain > SCALE_SHOWN;
     let mut solution = if with_scale { scaled } else { rigid };
+    let spread = solution.spread;
     // Without the outliers, until these stay the same.
     let mut used: Vec<bool> = Vec::new();
     for _ in 0..ROUNDS {
@@ -164,7 +164,7 @@ pub fn fit(pairing: &Pairing<'_>, clock_sigma_s: f64) -> Option<Fitted> {
     let model = solution.model;
     let origin = model.middle_in_plane_m - model.scale * (model.rotation() * middle_m);
     let pose = Sim2 { x_m: origin.x, y_m: origin.y, heading_rad: model.heading_rad, scale: model.scale };
-    Some(Fitted { pose, offset_s: model.offset_s, middle_m, covariance, used: solution.pairs })
+    Some(Fitted { pose, offset_s: model.offset_s, middle_m, covariance, used: solution.pairs, spread })
 }
 
 /// Most rounds of rejecting outliers.

@@ -57,6 +57,11 @@ pub struct AntennaPosition {
     pub segment: usize,
 }
 
+impl AntennaPosition {
+    /// Longest time between two positions over which the path is interpolated, seconds.
+    pub const LONGEST_STEP_S: f64 = 1.0;
+}
+
 /// What became of a fix.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub enum FixUse {
@@ -88,6 +93,9 @@ pub struct Georeference {
     pub clock_offset_sigma_s: f64,
     /// Root mean square distance of the used fixes from the path, metres.
     pub rmse_m: f64,
+    /// Robust variance of the distances of all fixes from the path in units of the stated one: about
+    /// 1, and more where the path drifts.
+    pub spread: f64,
     /// What became of each fix.
     pub fixes: Vec<FixUse>,
     /// The middle of the path, world metres.
@@ -214,6 +222,7 @@ pub fn georeference(
         clock_offset_s: *offset_s,
         clock_offset_sigma_s: covariance[(fit::CLOCK, fit::CLOCK)].sqrt(),
         rmse_m: (squares_m2 / agree as f64).sqrt(),
+        spread: found.spread,
         fixes: uses,
         middle_m: *middle_m,
         earth_from_map,

@@ -17,8 +17,8 @@ use std::fmt;
 pub struct AbsoluteUse {
     /// Whether it was used; otherwise it contradicts the others.
     pub used: bool,
-    /// Distance of the point from its place, metres in the survey frame.
-    pub off_m: f64,
+    /// The place less where the point is, metres in the survey frame.
+    pub off_m: Vector2<f64>,
 }
 
 /// The placement of a graph in the survey frame.
@@ -29,6 +29,8 @@ pub struct Placed {
     pub survey_from_graph: Sim2,
     /// Standard deviation of the scale; 0 where it is held.
     pub scale_sigma: f64,
+    /// Robust variance of the residuals of all edges in units of the stated one.
+    pub spread: f64,
     /// What became of each edge.
     pub uses: Vec<AbsoluteUse>,
 }
@@ -145,17 +147,20 @@ impl PoseGraph {
         if heading_sigma_rad >= HEADING_KNOWN_RAD {
             return Err(Unplaceable::NoHeading(heading_sigma_rad.min(PI)));
         }
+        if let Some(survey) = self.survey.as_mut().filter(|_| !is_shown) {
+            survey.placement.scale = 1.0; // but for rounding it is
+        }
         let survey_from_graph = self.placement();
         let of = |at: &Option<usize>| {
             let weighted = at.and_then(|at| self.survey.as_ref()?.edges.get(at));
-            weighted.map_or(AbsoluteUse { used: false, off_m: f64::INFINITY }, |edge| {
+            weighted.map_or(AbsoluteUse { used: false, off_m: Vector2::repeat(f64::INFINITY) }, |edge| {
                 let (there_m, _) = edge.predicted(&self.nodes[edge.node], &survey_from_graph);
-                AbsoluteUse { used: edge.used, off_m: (edge.place_m - there_m).norm() }
+                AbsoluteUse { used: edge.used, off_m: edge.place_m - there_m }
             })
         };
         let uses = index.iter().map(of).collect();
         let scale_sigma = if is_shown { scale_variance.sqrt() } else { 0.0 };
-        Ok(Placed { survey_from_graph, scale_sigma, uses })
+        Ok(Placed { survey_from_graph, scale_sigma, spread: self.spread_of_points(), uses })
     }
 
     /// Optimises, leaves out the edges that contradict, and repeats until these stay the same.

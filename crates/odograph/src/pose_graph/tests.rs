@@ -326,7 +326,7 @@ fn a_wrong_place_is_rejected_and_does_not_bend_the_path() {
     let used: Vec<bool> = placed.uses.iter().map(|of| of.used).collect();
     assert_eq!(used, (0..11).map(|at| at != 4).collect::<Vec<_>>());
     // Over the twenty metres between its neighbours the path itself is known to a centimetre.
-    assert!((placed.uses[4].off_m - 0.1).abs() < 0.04, "{:?}", placed.uses[4]);
+    assert!((placed.uses[4].off_m.norm() - 0.1).abs() < 0.04, "{:?}", placed.uses[4]);
     graph.adopt_survey_frame();
     let (with, without) = (worst_in(&graph, &truth, &elsewhere()), worst_in(&right, &truth, &elsewhere()));
     assert!(with < without + 0.03, "{without} m, with the wrong place {with} m");

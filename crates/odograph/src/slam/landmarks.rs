@@ -187,7 +187,7 @@ impl Mapper {
                     .map(|heading_rad| (heading_rad, ControlPoint::HEADING_SIGMA_RAD.powi(2) * count)),
             });
         }
-        let Placed { survey_from_graph, scale_sigma, uses } =
+        let Placed { survey_from_graph, scale_sigma, uses, .. } =
             self.graph.place(&edges, None, STEPS_AT_THE_END)?;
         self.graph.adopt_survey_frame();
         self.is_surveyed = true;
@@ -222,9 +222,9 @@ impl Mapper {
             let control = surveyed.and_then(|surveyed| {
                 let mut uses: Vec<AbsoluteUse> =
                     at.iter().filter_map(|at| surveyed.uses.get(at).copied()).collect();
-                uses.sort_by(|a, b| a.off_m.total_cmp(&b.off_m));
+                uses.sort_by(|a, b| a.off_m.norm().total_cmp(&b.off_m.norm()));
                 let used = uses.iter().filter(|of| of.used).count();
-                uses.get(uses.len() / 2).map(|middle| ControlUse { off_m: middle.off_m, used })
+                uses.get(uses.len() / 2).map(|middle| ControlUse { off_m: middle.off_m.norm(), used })
             });
             Landmark {
                 number,

@@ -10,6 +10,7 @@
 
 mod backoff;
 mod mapper;
+mod antenna;
 mod closing;
 mod correction;
 mod fusion;
@@ -18,6 +19,7 @@ mod localization;
 mod merge;
 mod fleet;
 
+pub use antenna::{AntennaFix, Bent};
 pub use correction::{Straightening, Stretches, map_frames};
 pub use fleet::{FleetMapper, OdometryPlacement, SessionScale};
 pub use landmarks::{ControlUse, Landmark, Surveyed};
