@@ -108,9 +108,9 @@ pub struct SimulateArguments {
     /// [default share: 0.3]
     #[arg(long, value_name = "PX[:SHARE]", value_parser = scene::parse_pair, help_heading = "Ground and way")]
     sway: Option<scene::Pair>,
-    /// Markers along the path: family, dictionary, side and distance, such as apriltag:36h11:80mm:10m
+    /// Markers along the path: family, dictionary, side and distance
     ///
-    /// markers.csv has their true places.
+    /// Such as apriltag:36h11:80mm:10m. markers.csv has their true places.
     #[arg(long, value_name = "FAMILY:SIZE:SPACING", value_parser = scene::parse_markers, help_heading = "Ground and way")]
     markers: Option<scene::MarkersOption>,
     /// Record this many seconds instead of to the end of the path

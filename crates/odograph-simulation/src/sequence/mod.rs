@@ -132,9 +132,9 @@ impl Simulation {
         Ok(simulation)
     }
 
-    /// Lays markers under the path, one every `spacing_m` metres of it from its start, numbered from
-    /// 0 and turned by 37° from one to the next; where the path comes back to a marker there is no
-    /// second one.
+    /// Lays markers under the path, one every `spacing_m` metres of it from its start, numbered
+    /// from 0 and turned by 37° from one to the next; where the path comes back to a marker there
+    /// is no second one.
     ///
     /// Fails where the spacing is too small for the markers, or the family has too few of them.
     pub fn with_markers(mut self, family: &MarkerFamily, spacing_m: f64) -> Result<Self> {

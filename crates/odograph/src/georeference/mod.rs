@@ -93,8 +93,8 @@ pub struct Georeference {
     pub clock_offset_sigma_s: f64,
     /// Root mean square distance of the used fixes from the path, metres.
     pub rmse_m: f64,
-    /// Robust variance of the distances of all fixes from the path in units of the stated one: about
-    /// 1, and more where the path drifts.
+    /// Robust variance of the distances of all fixes from the path in units of the stated one:
+    /// about 1, and more where the path drifts.
     pub spread: f64,
     /// What became of each fix.
     pub fixes: Vec<FixUse>,

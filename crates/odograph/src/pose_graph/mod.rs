@@ -18,9 +18,9 @@
 //! * **A loop closure may be wrong.** Loops have Cauchy's loss, with a scale from the loops' own
 //!   residuals: wide while the path is still bent, and narrow once it fits (graduated
 //!   non-convexity; H. Yang et al., 2020).
-//! * **Absolute edges** tie points of keyframes to known places of a survey frame: surveyed markers,
-//!   or positions of a satellite receiver. The placement of the graph in that frame is estimated
-//!   with the poses; a place that contradicts the others is left out.
+//! * **Absolute edges** tie points of keyframes to known places of a survey frame: surveyed
+//!   markers, or positions of a satellite receiver. The placement of the graph in that frame is
+//!   estimated with the poses; a place that contradicts the others is left out.
 //!
 //! Derivation: `docs/math/pose-graph.md`.
 
