@@ -20,6 +20,10 @@ const MAX_BYTES: u64 = 4 << 20;
 /// Largest relative difference of a marker's side from the stated one: what the height may be off.
 const MOST_OFF: f64 = 0.25;
 
+/// Smallest side of a marker that is looked for, of that below the camera: what is further away in
+/// a tilted view is smaller.
+const LEAST_SHARE: f64 = 0.4;
+
 /// Looks for markers in keyframes.
 pub struct MarkerWatch {
     pub family: MarkerFamily,
@@ -75,7 +79,9 @@ impl MarkerWatch {
     pub fn look(&mut self, new: &NewKeyframe) -> Vec<MarkerSighting> {
         let started = Instant::now();
         let mut sightings = Vec::new();
-        for seen in self.finder.find(&new.image) {
+        let (fx, fy) = self.camera.focal_px();
+        let usual_px = self.family.side_m() * fx.min(fy) / new.pose.height_m;
+        for seen in self.finder.find(&new.image, LEAST_SHARE * usual_px) {
             let sighting = MarkerSighting::new(
                 seen.number as u32,
                 new.id,

@@ -40,10 +40,14 @@ impl MarkerFinder {
     /// The markers in an image, in the order of their numbers. A number is there more than once if
     /// the image shows it at several places.
     ///
+    /// Markers with a side of less than `least_px` pixels are not looked for. The more is known of
+    /// their size, the less texture is looked at in vain.
+    ///
     /// Accepts images of any size and content. The run time is proportional to the number of
     /// pixels.
-    pub fn find(&self, image: &GrayImage) -> Vec<SeenMarker> {
-        let read = markers::find(image, &self.codes).read;
+    pub fn find(&self, image: &GrayImage, least_px: f64) -> Vec<SeenMarker> {
+        let least_px = (least_px as usize).max(markers::LEAST_PX);
+        let read = markers::find(image, &self.codes, least_px).read;
         let mut seen: Vec<SeenMarker> = Vec::new();
         for marker in read {
             let is_new = seen.iter().all(|other| {

@@ -134,3 +134,39 @@ fn no_corner_on_edges_uniform_areas_or_outside_the_image() {
     assert_eq!(subpixel::fit(&GrayImage::new(1, 1), Pixel::new(0.0, 0.0), 8.0), None);
     assert_eq!(subpixel::fit(&bend, Pixel::new(20.0, 20.0), f64::NAN), None);
 }
+
+#[test]
+fn a_single_marker_is_found_with_its_number_corners_and_orientation() {
+    use crate::{MarkerFamily, MarkerFinder};
+    for text in ["apriltag:36h11:80mm", "aruco:4x4_50:80mm", "aruco:6x6_250:80mm"] {
+        let family: MarkerFamily = text.parse().unwrap();
+        let finder = MarkerFinder::new(&family);
+        for (number, turn) in [(0, 0.2f64), (7, 2.0), (49, 4.1)] {
+            let side_px = 60.0;
+            let (sin, cos) = turn.sin_cos();
+            let at = |x: f64, y: f64| {
+                let (dx, dy) = ((x - 100.3) / side_px, (y - 90.6) / side_px);
+                (cos * dx + sin * dy + 0.5, cos * dy - sin * dx + 0.5)
+            };
+            let gray = |x: f64, y: f64| {
+                let sheet = (-0.2..1.2).contains(&x) && (-0.2..1.2).contains(&y);
+                match (sheet, family.is_black(number, x, y)) {
+                    (true, true) => 30.0,
+                    (true, false) => 220.0,
+                    (false, _) => 110.0,
+                }
+            };
+            let scene =
+                PlaneScene { size: (200, 180), at: &at, gray: &gray, blur_px: 0.7, noise: 2.0, seed: 3 };
+            let seen = finder.find(&scene.render(), 20.0);
+            assert!(seen.len() == 1 && seen[0].number == number, "{text} {number}: {seen:?}");
+            let corners = [(0.0, 0.0), (1.0, 0.0), (1.0, 1.0), (0.0, 1.0)];
+            for (corner, (x, y)) in seen[0].corners.iter().zip(corners) {
+                let off = at(corner.x, corner.y);
+                let off_px = side_px * (off.0 - x).hypot(off.1 - y);
+                assert!(off_px < 0.2, "{text} {number}: {off_px} px");
+            }
+            assert!(finder.find(&scene.render(), 90.0).is_empty());
+        }
+    }
+}

@@ -60,7 +60,7 @@ pub(super) struct Markers {
 }
 
 /// Minimum width and height of a dark region with a decodable marker, pixels.
-const LEAST_PX: usize = 6;
+pub(super) const LEAST_PX: usize = 6;
 /// Maximum number of decoded quadrangles, to bound the run time; a full board has some hundred.
 const MOST_QUADRANGLES: usize = 4000;
 
@@ -142,12 +142,13 @@ fn in_mirror(bits: u64, side: usize) -> u64 {
 }
 
 /// All decodable markers of the board in an image. A marker may be detected several times: once for
-/// each window, and for each copy in the image.
-pub(super) fn find(image: &GrayImage, codes: &Codes) -> Markers {
+/// each window, and for each copy in the image. Dark regions narrower or lower than `least_px` are
+/// not looked at.
+pub(super) fn find(image: &GrayImage, codes: &Codes, least_px: usize) -> Markers {
     let mut markers = Markers::default();
     for (reach, below) in codes.windows.iter().copied() {
         let dark = Dark::new(image, reach, below);
-        for outline in outlines::outlines(image, &dark, LEAST_PX) {
+        for outline in outlines::outlines(image, &dark, least_px) {
             let Some(corners) = quadrangles::quadrangle(&outline) else { continue };
             let Some(corners) = quadrangles::moved_to_edges(image, &corners) else { continue };
             if markers.quadrangles.len() == MOST_QUADRANGLES {

@@ -78,7 +78,7 @@ struct GrowingView<'a> {
 impl TaggedBoard {
     /// Detects the board, which may be partly visible.
     pub fn find(&self, image: &GrayImage) -> Result<BoardView, NotFound> {
-        let mut found = markers::find(image, &self.codes);
+        let mut found = markers::find(image, &self.codes, markers::LEAST_PX);
         let mut agreeing = self.agreeing(&found.read);
         if agreeing.len() < self.least_markers && self.is_chessboard {
             markers::find_between(image, &self.codes, &mut found);
