@@ -32,7 +32,7 @@
 //! | look at the source before running | [`RunBuilder::open`], then [`Run::follow`] |
 //! | continue a map | [`RunBuilder::map`] with [`MapUse::Continue`] |
 //! | find a picture in a map | [`RunBuilder::localizing`] |
-//! | close loops at markers, or be in their frame | [`RunBuilder::markers`], [`RunBuilder::control`] |
+//! | use markers, or be in their frame | [`RunBuilder::markers`], [`RunBuilder::control`] |
 //! | use a gyroscope, compass, wheel or range finder | [`RunBuilder::sensors`] |
 //! | run again exactly | [`RunBuilder::repeating`] with the folder's `run.toml` |
 //! | follow a camera as it moves | the feature `live`, then `RunBuilder::open_live` |
