@@ -15,8 +15,8 @@ use nalgebra::{DVector, Matrix4, Vector2};
 /// by this. Noise does so in four of a million graphs (chi-square, two degrees of freedom).
 const MOUNT_SHOWN: f64 = 25.0;
 
-/// Largest rotation of the mount, in standard deviations of its prior. A larger one occurs by chance
-/// in three of ten thousand mounts (two degrees of freedom).
+/// Largest rotation of the mount, in standard deviations of its prior. A larger one occurs by
+/// chance in three of ten thousand mounts (two degrees of freedom).
 const MOST_TURN: f64 = 4.0;
 
 /// Standard deviation of the mount's rotation while fixed, rad/m: bends a kilometre by half a

@@ -190,8 +190,8 @@ const MAX_SIGMA_DEG: f64 = 0.25;
 
 /// A plane explains the tracks as well as elevations do if its residual is below this multiple of
 /// theirs, which lack the component along the parallax of free points: up to √2 times less. Over
-/// flat ground with an unknown lens the ratio was 0.1 to 1.4; over rendered relief of all kinds it was
-/// 1.5 to 14 when theirs had both components.
+/// flat ground with an unknown lens the ratio was 0.1 to 1.4; over rendered relief of all kinds it
+/// was 1.5 to 14 when theirs had both components.
 const MAX_RELIEF_RATIO: f64 = 1.7;
 
 /// A mean of squares.

@@ -28,9 +28,9 @@ fn error(terrain: Terrain, length_m: f64, seed: u64) -> f64 {
 
 #[test]
 fn a_kerb_keeps_the_scale() {
-    // Points 5 cm nearer to the camera move by 7 % more, and a plane has half of that for error. Over
-    // 4 cm the edge moves from the first rows of a new keyframe to where most of the ground that it
-    // shows is the upper one.
+    // Points 5 cm nearer to the camera move by 7 % more, and a plane has half of that for error.
+    // Over 4 cm the edge moves from the first rows of a new keyframe to where most of the ground
+    // that it shows is the upper one.
     for (at_m, seed) in [(1.98, 3), (2.0, 3), (2.02, 5)] {
         let kerb = Some(Kerb { height_m: 0.05, at_m });
         let error = error(Terrain { kerb, ..Terrain::default() }, 3.0, seed);

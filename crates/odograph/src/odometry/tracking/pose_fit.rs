@@ -129,8 +129,8 @@ const INLIERS_KEPT: f64 = 0.9;
 /// factor, if it does not lower the residual.
 const INLIERS_GAINED: f64 = 1.25;
 
-/// Whether a fit with elevations leaves a residual smaller by a factor than that of one without, and
-/// keeps a part of its inliers.
+/// Whether a fit with elevations leaves a residual smaller by a factor than that of one without,
+/// and keeps a part of its inliers.
 fn explains_better(
     uneven: &MotionEstimate,
     flat: &Option<MotionEstimate>,
