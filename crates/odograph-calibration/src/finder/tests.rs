@@ -164,7 +164,8 @@ fn a_single_marker_is_found_with_its_number_corners_and_orientation() {
             for (corner, (x, y)) in seen[0].corners.iter().zip(corners) {
                 let off = at(corner.x, corner.y);
                 let off_px = side_px * (off.0 - x).hypot(off.1 - y);
-                assert!(off_px < 0.2, "{text} {number}: {off_px} px");
+                // 0.2 px are one standard deviation.
+                assert!(off_px < 0.6, "{text} {number}: {off_px} px");
             }
             assert!(finder.find(&scene.render(), 90.0).is_empty());
         }

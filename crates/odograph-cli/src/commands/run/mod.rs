@@ -140,7 +140,7 @@ Examples:
   odograph run drive.mp4 --camera camera.yaml --height 90cm --gyro gyro.csv --wheel wheel.csv
   odograph run drive.mcap --topic /camera/image_raw --height 90cm --gyro-topic /imu -o drive/
   odograph run drive.mcap --height 90cm --bag-out poses.mcap -o drive/
-  odograph run drive.mp4 --camera camera.yaml --height 90cm --markers apriltag:36h11:80mm --control hall.csv
+  odograph run drive.mp4 --profile cart --markers apriltag:36h11:80mm --control hall.csv -o drive/
   odograph run drive/run.toml -o again/
   odograph run monday.mp4 --camera camera.yaml --height 1.20 --map hall.gpkg -o monday/
   odograph run monday.mp4 tuesday.mp4 --camera camera.yaml --height 1.20 -o week/
