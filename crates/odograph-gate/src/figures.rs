@@ -52,7 +52,7 @@ impl Measure {
 /// trajectory's error. The tolerances cover the variation between such draws, measured by a run
 /// with 396 corners instead of 400; the comments below give its results.
 pub const MEASURES: [Measure; 14] = [
-    // One seed of 4 m: mostly within 20 %, up to a factor of 2 on concrete and `tilt-untold`.
+    // One seed of 4 m: mostly within 20 %, up to a factor of 2 on concrete and `tilt-unknown`.
     Measure::new("drift_percent", "error over each metre, %", 4, Better::Lower).within(0.6, 0.001),
     Measure::new("heading_deg_per_m", "heading, °/m", 4, Better::Lower).within(0.7, 0.001),
     // A single draw: up to a factor of 11, but within its estimated standard deviation; see

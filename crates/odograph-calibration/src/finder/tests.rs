@@ -138,6 +138,7 @@ fn no_corner_on_edges_uniform_areas_or_outside_the_image() {
 #[test]
 fn a_single_marker_is_found_with_its_number_corners_and_orientation() {
     use crate::{MarkerFamily, MarkerFinder};
+    let mut squares = Vec::new();
     for text in ["apriltag:36h11:80mm", "aruco:4x4_50:80mm", "aruco:6x6_250:80mm"] {
         let family: MarkerFamily = text.parse().unwrap();
         let finder = MarkerFinder::new(&family);
@@ -164,10 +165,13 @@ fn a_single_marker_is_found_with_its_number_corners_and_orientation() {
             for (corner, (x, y)) in seen[0].corners.iter().zip(corners) {
                 let off = at(corner.x, corner.y);
                 let off_px = side_px * (off.0 - x).hypot(off.1 - y);
-                // 0.2 px are one standard deviation.
                 assert!(off_px < 0.6, "{text} {number}: {off_px} px");
+                squares.push(off_px * off_px);
             }
             assert!(finder.find(&scene.render(), 90.0).is_empty());
         }
     }
+    // Landmarks take a corner to have 0.2 px along each axis.
+    let sigma_px = (squares.iter().sum::<f64>() / (2 * squares.len()) as f64).sqrt();
+    assert!(sigma_px < 0.2, "{sigma_px} px");
 }

@@ -1,5 +1,6 @@
 //! Black-box tests of a satellite receiver: where a path is on Earth.
 
+use super::program::{done, odograph};
 use nalgebra::{Isometry3, Point3};
 use odograph::camera::{LeverArm, Rig};
 use odograph::formats::rig_file;
@@ -10,19 +11,6 @@ use odograph::trajectory::Trajectory;
 use serde_json::Value;
 use std::fs;
 use std::path::Path;
-use std::process::{Command, Output};
-
-fn odograph(folder: &Path, arguments: &str) -> Output {
-    let mut command = Command::new(env!("CARGO_BIN_EXE_odograph"));
-    command.current_dir(folder).args(arguments.split_whitespace()).output().unwrap()
-}
-
-fn done(folder: &Path, arguments: &str) -> String {
-    let output = odograph(folder, arguments);
-    let message = String::from_utf8_lossy(&output.stderr).into_owned();
-    assert!(output.status.success(), "{arguments}: {message}");
-    message
-}
 
 /// Numbers from −1 to 1.
 struct Noise(u64);

@@ -18,6 +18,7 @@ mod map;
 mod markers;
 mod pattern;
 mod profile;
+mod program;
 mod recordings;
 mod robot;
 mod sensors;

@@ -1,5 +1,6 @@
 //! Black-box tests of markers on the ground.
 
+use super::program::{done, odograph};
 use odograph::formats::control_file;
 use odograph::formats::trajectory_file::parse_tum;
 use odograph::landmark::ControlPoint;
@@ -7,19 +8,6 @@ use odograph::trajectory::Trajectory;
 use serde_json::Value;
 use std::fs;
 use std::path::Path;
-use std::process::{Command, Output};
-
-fn odograph(folder: &Path, arguments: &str) -> Output {
-    let mut command = Command::new(env!("CARGO_BIN_EXE_odograph"));
-    command.current_dir(folder).args(arguments.split_whitespace()).output().unwrap()
-}
-
-fn done(folder: &Path, arguments: &str) -> String {
-    let output = odograph(folder, arguments);
-    let message = String::from_utf8_lossy(&output.stderr).into_owned();
-    assert!(output.status.success(), "{arguments}: {message}");
-    message
-}
 
 fn path(folder: &Path, file: &str) -> Trajectory {
     parse_tum(&fs::read_to_string(folder.join(file)).unwrap()).unwrap()

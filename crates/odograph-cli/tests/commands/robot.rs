@@ -1,29 +1,17 @@
 //! Black-box tests of the robot's frame: a camera on a lever arm.
 
+use super::program::{odograph, printed};
 use nalgebra::Isometry3;
 use odograph::camera::{LeverArm, Rig};
 use odograph::formats::rig_file;
 use odograph::formats::trajectory_file::{Trajectory, parse_tum};
 use std::fs;
 use std::path::Path;
-use std::process::{Command, Output};
-
-fn odograph(folder: &Path, arguments: &str) -> Output {
-    let mut command = Command::new(env!("CARGO_BIN_EXE_odograph"));
-    command.current_dir(folder).args(arguments.split_whitespace()).output().unwrap()
-}
-
-fn done(folder: &Path, arguments: &str) -> String {
-    let output = odograph(folder, arguments);
-    let message = String::from_utf8_lossy(&output.stderr).into_owned();
-    assert!(output.status.success(), "{arguments}: {message}");
-    String::from_utf8(output.stdout).unwrap()
-}
 
 /// A drive in bends, filmed by a camera whose image is turned on the robot, and its rig with a
 /// lever arm.
 fn recorded(folder: &Path) -> Rig {
-    done(
+    printed(
         folder,
         "simulate -o sim --path eight --length 1.5 --speed 0.5 --duration 4 --fps 20 --size 240x180 --height 0.75 --yaw 90 \
          --seed 4 --quiet",
@@ -59,7 +47,7 @@ fn with_a_lever_arm_the_poses_are_those_of_the_robot() {
     let place = tempfile::tempdir().unwrap();
     let here = place.path();
     let rig = recorded(here);
-    done(here, &format!("run {DRIVE} --rig armed.toml -o robot"));
+    printed(here, &format!("run {DRIVE} --rig armed.toml -o robot"));
     let truth = trajectory(&here.join("sim/truth.tum"));
     let camera_from_base = rig.base_from_camera().unwrap().inverse();
     for name in ["trajectory.tum", "odometry.tum", "trajectory-smoothed.tum", "carrier.tum"] {
@@ -83,8 +71,8 @@ fn with_a_lever_arm_the_poses_are_those_of_the_robot() {
     assert!(value("sigma_x_m") < 1e-9 && value("roll_deg").abs() < 1e-6, "{first:?}");
 
     // The estimate is that of a run without a lever arm, which is also what --frame camera writes.
-    done(here, &format!("run {DRIVE} --rig armed.toml --frame camera -o camera"));
-    done(here, &format!("run {DRIVE} --rig sim/rig.toml -o plain"));
+    printed(here, &format!("run {DRIVE} --rig armed.toml --frame camera -o camera"));
+    printed(here, &format!("run {DRIVE} --rig sim/rig.toml -o plain"));
     for name in ["trajectory.tum", "trajectory.csv", "trajectory-smoothed.csv", "mosaic.png", "map.svg"] {
         let [camera, plain] =
             ["camera", "plain"].map(|folder| fs::read(here.join(folder).join(name)).unwrap());
@@ -93,7 +81,7 @@ fn with_a_lever_arm_the_poses_are_those_of_the_robot() {
     assert!(!fs::read_to_string(here.join("plain/run.toml")).unwrap().contains("frame ="));
     // run.toml repeats it.
     for folder in ["robot", "camera"] {
-        done(here, &format!("run {folder}/run.toml -o again --force --quiet"));
+        printed(here, &format!("run {folder}/run.toml -o again --force --quiet"));
         for name in ["trajectory.tum", "trajectory.csv", "carrier.tum", "run.toml"] {
             let [first, again] =
                 [folder, "again"].map(|folder| fs::read(here.join(folder).join(name)).unwrap());
@@ -101,7 +89,7 @@ fn with_a_lever_arm_the_poses_are_those_of_the_robot() {
         }
     }
     // A map remembers the lever arm.
-    let found = done(here, "localize sim/frames --timestamps sim/frames.txt --map robot/map.gpkg --json");
+    let found = printed(here, "localize sim/frames --timestamps sim/frames.txt --map robot/map.gpkg --json");
     let place: serde_json::Value = serde_json::from_str(&found).unwrap();
     let last = trajectory(&here.join("robot/trajectory.tum")).poses.last().unwrap().world_from_camera;
     let off = ["x_m", "y_m"].map(|name| place["place"][name].as_f64().unwrap());
@@ -115,7 +103,7 @@ fn what_is_told_while_driving_is_the_robots() {
     let here = place.path();
     recorded(here);
     let live = format!("live {DRIVE} --rig armed.toml").replace("--timestamps sim/frames.txt", "--fps 20");
-    let printed = done(here, &format!("{live} --print poses --mcap drive.mcap -o robot"));
+    let printed = printed(here, &format!("{live} --print poses --mcap drive.mcap -o robot"));
     let first: serde_json::Value = serde_json::from_str(printed.lines().next().unwrap()).unwrap();
     assert!((first["pose"]["y_m"].as_f64().unwrap() - 0.3).abs() < 1e-6, "{first}");
     let log = fs::read(here.join("drive.mcap")).unwrap();
@@ -168,16 +156,16 @@ fn off_level(path: &Trajectory, height_m: f64) -> (f64, f64) {
 fn a_tilt_that_is_found_while_driving_is_that_of_the_robots_poses() {
     let place = tempfile::tempdir().unwrap();
     let here = place.path();
-    done(
+    printed(
         here,
         "simulate -o sim --path eight --length 1.7 --speed 0.6 --fps 15 --size 320x240 --height 0.75 --roll 1 --seed 4 --quiet",
     );
     let rig = rig_file::parse(&fs::read_to_string(here.join("sim/rig.toml")).unwrap()).unwrap();
     let rig = Rig { lever_arm: Some(LeverArm { x_m: 0.0, y_m: 0.0, z_m: 0.2 }), ..rig };
     fs::write(here.join("armed.toml"), rig_file::write(&Rig { roll_rad: 0.0, ..rig })).unwrap();
-    done(here, &format!("run {DRIVE} --rig armed.toml -o recorded"));
+    printed(here, &format!("run {DRIVE} --rig armed.toml -o recorded"));
     let live = format!("live {DRIVE} --rig armed.toml").replace("--timestamps sim/frames.txt", "--fps 15");
-    let printed = done(here, &format!("{live} --print poses --mcap drive.mcap -o live"));
+    let printed = printed(here, &format!("{live} --print poses --mcap drive.mcap -o live"));
     for folder in ["recorded", "live"] {
         let mount = fs::read_to_string(here.join(folder).join("stats.json")).unwrap();
         let mount: serde_json::Value = serde_json::from_str(&mount).unwrap();

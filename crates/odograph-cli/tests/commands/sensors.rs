@@ -1,22 +1,10 @@
 //! Black-box tests of additional sensors: darkness while driving, inconsistent data, and invalid
 //! files.
 
+use super::program::{done, odograph};
 use odograph::formats::trajectory_file::{Trajectory, parse_tum};
 use std::fs;
 use std::path::Path;
-use std::process::{Command, Output};
-
-fn odograph(folder: &Path, arguments: &str) -> Output {
-    let mut command = Command::new(env!("CARGO_BIN_EXE_odograph"));
-    command.current_dir(folder).args(arguments.split_whitespace()).output().unwrap()
-}
-
-fn done(folder: &Path, arguments: &str) -> String {
-    let output = odograph(folder, arguments);
-    let message = String::from_utf8_lossy(&output.stderr).into_owned();
-    assert!(output.status.success(), "{arguments}: {message}");
-    message
-}
 
 /// A figure eight at 0.5 m/s with two seconds of darkness, and four sensors.
 fn recorded(folder: &Path) {

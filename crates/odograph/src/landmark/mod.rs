@@ -27,7 +27,7 @@ pub struct ControlPoint {
 }
 
 impl ControlPoint {
-    /// Standard deviation where none is stated, metres: of a total station.
+    /// Default standard deviation, metres: of a total station.
     pub const USUAL_SIGMA_M: f64 = 0.002;
     /// Standard deviation of a surveyed heading, radians: 1°, as markers are glued.
     pub const HEADING_SIGMA_RAD: f64 = 0.0175;
