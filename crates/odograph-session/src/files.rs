@@ -3,9 +3,10 @@
 
 use odograph::error::{Error, Result};
 use odograph::image::{GrayImage, RgbImage};
+use odograph_video::read_regular_file;
 use std::ffi::OsString;
 use std::fs;
-use std::io::{self, BufWriter, Read, Write};
+use std::io::{self, BufWriter, Write};
 use std::path::{Path, PathBuf};
 
 /// Whether a file may be written at `path`, checked before any work: fails if it is there and may
@@ -85,24 +86,19 @@ pub fn make_folder(path: &Path) -> Result<()> {
     })
 }
 
-/// Reads a text file of at most `most` bytes of UTF-8.
+/// Reads a text file of at most `most` bytes of UTF-8. A folder, pipe or device is refused.
 pub fn read_text_within(path: &Path, most: u64) -> Result<String> {
-    let mut text = String::new();
-    fs::File::open(path).and_then(|file| file.take(most + 1).read_to_string(&mut text)).map_err(|error| {
+    let bytes = read_regular_file(path, most).map_err(|error| {
         Error::input(match error.kind() {
-            io::ErrorKind::InvalidData => format!("{} is not a text file", path.display()),
+            io::ErrorKind::FileTooLarge => {
+                format!("{} is larger than {} MiB; it is not the file meant", path.display(), most >> 20)
+            }
             _ => format!("{} cannot be read: {error}", path.display()),
         })
         .caused_by(error)
     })?;
-    if text.len() as u64 > most {
-        return Err(Error::input(format!(
-            "{} is larger than {} MiB; it is not the file meant",
-            path.display(),
-            most >> 20
-        )));
-    }
-    Ok(text)
+    String::from_utf8(bytes)
+        .map_err(|error| Error::input(format!("{} is not a text file", path.display())).caused_by(error))
 }
 
 /// Largest size of camera, rig and parameter files, bytes.

@@ -7,6 +7,11 @@ use std::path::Path;
 
 /// Reads a mask in any image format that recordings may have.
 pub fn read(path: &Path) -> Result<GrayImage> {
+    if !path.is_dir() {
+        odograph_video::check_regular_file(path).map_err(|error| {
+            Error::input(format!("{} cannot be read: {error}", path.display())).caused_by(error)
+        })?;
+    }
     let mut source = odograph_video::open(path.display().to_string(), &SourceOptions::default())?;
     let frame = source.next_frame()?;
     frame

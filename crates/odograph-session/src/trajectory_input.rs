@@ -4,8 +4,8 @@ use odograph::error::{Error, Result};
 use odograph::formats::trajectory_file::{
     Trajectory, TrajectoryFormat, guess_format, parse_kitti, parse_tum,
 };
-use std::fs::File;
-use std::io::Read;
+use odograph_video::read_regular_file;
+use std::io::ErrorKind;
 use std::path::Path;
 
 /// A trajectory, and whether its times are seconds or pose numbers.
@@ -51,13 +51,15 @@ const MAX_BYTES: u64 = 1 << 30;
 /// # Errors
 /// If the file cannot be read, is larger than a gigabyte, or is not text.
 pub fn read_trajectory_text(path: &Path) -> Result<String> {
-    let mut bytes = Vec::new();
-    File::open(path).and_then(|file| file.take(MAX_BYTES + 1).read_to_end(&mut bytes)).map_err(|error| {
-        Error::input(format!("{} cannot be read: {error}", path.display())).caused_by(error)
+    let bytes = read_regular_file(path, MAX_BYTES).map_err(|error| {
+        Error::input(match error.kind() {
+            ErrorKind::FileTooLarge => {
+                format!("{} is larger than 1 GiB; is it a trajectory?", path.display())
+            }
+            _ => format!("{} cannot be read: {error}", path.display()),
+        })
+        .caused_by(error)
     })?;
-    if bytes.len() as u64 > MAX_BYTES {
-        return Err(Error::input(format!("{} is larger than 1 GiB; is it a trajectory?", path.display())));
-    }
     String::from_utf8(bytes).map_err(|error| {
         Error::input(format!("{} is not a text file; a trajectory is text", path.display())).caused_by(error)
     })

@@ -26,6 +26,7 @@
 //! ```
 
 mod limits;
+mod regular_file;
 mod guard;
 mod frame;
 mod nal;
@@ -57,6 +58,7 @@ pub use contents::{Contents, Gap, Stream, StreamUse};
 pub use frame::{Frame, Picture};
 pub use inspection::inspect;
 pub use recorded_camera::RecordedCamera;
+pub use regular_file::{check_regular_file, read_regular_file};
 pub use samples::SampleLayout;
 pub use source::{Source, SourceInfo, is_stream, open};
 pub use source_options::SourceOptions;

@@ -1,8 +1,8 @@
 //! Timestamps files.
 
+use crate::regular_file::read_regular_file;
 use odograph::error::{Error, Result};
-use std::fs::File;
-use std::io::Read;
+use std::io::ErrorKind;
 use std::path::Path;
 
 /// Strictly increasing times from a file, seconds.
@@ -28,21 +28,21 @@ const MAX_BYTES: u64 = 256 << 20;
 impl Timestamps {
     /// Reads a timestamps file.
     pub fn read(path: &Path) -> Result<Self> {
-        let place = path.display();
-        let mut text = String::new();
-        // A device has no length to be asked for.
-        let read = File::open(path).and_then(|file| file.take(MAX_BYTES + 1).read_to_string(&mut text));
-        read.map_err(|error| match error.kind() {
-            std::io::ErrorKind::InvalidData => Error::input("the timestamps are not text").at(place),
-            _ => Error::input(format!("the timestamps cannot be read: {error}")).at(place),
+        let bytes = read_regular_file(path, MAX_BYTES).map_err(|error| {
+            let why = match error.kind() {
+                ErrorKind::FileTooLarge => {
+                    format!(
+                        "the timestamps are larger than {} MiB; it is not the file meant",
+                        MAX_BYTES >> 20
+                    )
+                }
+                _ => format!("the timestamps cannot be read: {error}"),
+            };
+            Error::input(why).caused_by(error).at(path.display())
         })?;
-        if text.len() as u64 > MAX_BYTES {
-            return Err(Error::input(format!(
-                "the timestamps are larger than {} MiB; it is not the file meant",
-                MAX_BYTES >> 20
-            ))
-            .at(path.display()));
-        }
+        let text = String::from_utf8(bytes).map_err(|error| {
+            Error::input("the timestamps are not text").caused_by(error).at(path.display())
+        })?;
         Self::parse(&text).map_err(|error| error.at(path.display()))
     }
 

@@ -52,7 +52,8 @@ fn check_free(folder: &Path, force: bool) -> Result<()> {
     let results = RUN_FILES.iter().map(|name| folder.join(name)).filter(|path| path.exists());
     let input = |(name, bytes): (&str, &[u8])| {
         let path = folder.join("input").join(name);
-        (path.exists() && !std::fs::read(&path).is_ok_and(|there| there == bytes)).then_some(path)
+        let there = odograph_video::read_regular_file(&path, bytes.len() as u64);
+        (path.exists() && !there.is_ok_and(|there| there == bytes)).then_some(path)
     };
     match results.chain(INPUTS.into_iter().filter_map(input)).next().filter(|_| !force) {
         Some(there) => Err(Error::usage(format!(

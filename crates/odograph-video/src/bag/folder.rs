@@ -2,10 +2,9 @@
 
 use super::files::BagFormat;
 use crate::pictures::natural_order;
+use crate::regular_file::read_regular_file;
 use odograph::error::{Error, Result};
 use serde::Deserialize;
-use std::fs::File;
-use std::io::Read;
 use std::path::{Path, PathBuf};
 
 /// Largest description, bytes.
@@ -57,8 +56,8 @@ pub(super) fn files(folder: &Path) -> Result<Option<Vec<PathBuf>>> {
 
 /// The files that the description names, as far as they are there; `None` without a description.
 fn named_files(folder: &Path) -> Option<Vec<PathBuf>> {
-    let mut text = String::new();
-    File::open(folder.join("metadata.yaml")).ok()?.take(MAX_METADATA).read_to_string(&mut text).ok()?;
+    let text = read_regular_file(&folder.join("metadata.yaml"), MAX_METADATA).ok()?;
+    let text = String::from_utf8(text).ok()?;
     let metadata: Metadata = crate::guard::guarded("YAML", || serde_saphyr::from_str(&text)).ok()?.ok()?;
     let named = metadata.rosbag2_bagfile_information.relative_file_paths;
     // Old recorders name the folder as well, and a folder may have been renamed.

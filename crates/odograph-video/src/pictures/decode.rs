@@ -5,10 +5,11 @@ use crate::codec::narrow_full_scale;
 use crate::frame::{Picture, picture_from_rgb};
 use crate::guard::guarded;
 use crate::limits;
+use crate::regular_file::read_regular_file;
 use crate::rotation::Orientation;
 use odograph::error::{Error, Result};
 use odograph::image::GrayImage;
-use std::io::{Cursor, Read};
+use std::io::{Cursor, ErrorKind};
 use std::path::Path;
 
 /// Image format, detected from the first bytes.
@@ -39,13 +40,12 @@ pub(crate) fn is_picture(bytes: &[u8]) -> bool {
 
 /// Reads and decodes an image file and rotates it upright.
 pub(super) fn picture(path: &Path, color: bool) -> Result<Picture> {
-    let mut bytes = Vec::new();
-    std::fs::File::open(path)
-        .and_then(|file| file.take(limits::MAX_SAMPLE_BYTES + 1).read_to_end(&mut bytes))
-        .map_err(|error| Error::input(format!("cannot be read: {error}")))?;
-    if bytes.len() as u64 > limits::MAX_SAMPLE_BYTES {
-        return Err(Error::input("the picture file is larger than 256 MB"));
-    }
+    let bytes = read_regular_file(path, limits::MAX_SAMPLE_BYTES).map_err(|error| {
+        Error::input(match error.kind() {
+            ErrorKind::FileTooLarge => "the picture file is larger than 256 MB".to_owned(),
+            _ => format!("cannot be read: {error}"),
+        })
+    })?;
     guarded("picture", || decode(&bytes, color))?
 }
 

@@ -3,8 +3,9 @@
 use odograph::error::{Error, Result};
 use odograph::image::{GrayImage, RgbImage};
 use odograph_simulation::Texture;
-use std::fs::File;
-use std::io::{Cursor, Read};
+use odograph_video::read_regular_file;
+use std::io::{Cursor, ErrorKind};
+use std::path::Path;
 use zune_jpeg::JpegDecoder;
 use zune_jpeg::zune_core::colorspace::ColorSpace;
 use zune_jpeg::zune_core::options::DecoderOptions;
@@ -17,21 +18,17 @@ const MOST_BYTES: u64 = 512 << 20;
 
 /// Reads a photograph. The error names the file and, if it does not exist, the named textures.
 pub fn read(name: &str) -> Result<RgbImage> {
-    let mut bytes = Vec::new();
-    let read = File::open(name).and_then(|file| file.take(MOST_BYTES + 1).read_to_end(&mut bytes));
-    read.map_err(|error| {
-        if name.contains(['.', '/', '\\']) {
-            return Error::input(format!("{name} cannot be read: {error}"));
+    let bytes = read_regular_file(Path::new(name), MOST_BYTES).map_err(|error| match error.kind() {
+        ErrorKind::FileTooLarge => Error::input(format!("{name} is larger than {} MiB", MOST_BYTES >> 20)),
+        ErrorKind::NotFound if !name.contains(['.', '/', '\\']) => {
+            let names: Vec<_> = Texture::names().collect();
+            Error::usage(format!(
+                "there is no texture named '{name}' and no file of that name; textures are {}",
+                names.join(", ")
+            ))
         }
-        let names: Vec<_> = Texture::names().collect();
-        Error::usage(format!(
-            "there is no texture named '{name}' and no file of that name; textures are {}",
-            names.join(", ")
-        ))
+        _ => Error::input(format!("{name} cannot be read: {error}")),
     })?;
-    if bytes.len() as u64 > MOST_BYTES {
-        return Err(Error::input(format!("{name} is larger than {} MiB", MOST_BYTES >> 20)));
-    }
     let image = if bytes.starts_with(b"\x89PNG") {
         png(&bytes)
     } else if bytes.starts_with(b"\xff\xd8") {

@@ -56,6 +56,8 @@ fn fill(place: &HostileFolder) {
     picture_folder(&place.path("dark"), 1, PngPicture::black);
     fs::rename(place.path("dark/000000.png"), place.path("black.png")).unwrap();
     fs::remove_dir(place.path("dark")).unwrap();
+    let made = Command::new("mkfifo").arg(place.path("pipe")).status().unwrap();
+    assert!(made.success());
     std::os::unix::fs::symlink("endless", place.path("endless")).unwrap();
     fill_videos(place);
     fill_cameras(place);
