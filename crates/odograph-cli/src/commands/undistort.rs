@@ -141,7 +141,8 @@ pub fn undistort(arguments: UndistortArguments) -> Result<Outcome> {
     };
     output.finish(correction.camera(), before_after)?;
     if !arguments.quiet {
-        print_result(&folder, &correction, &corrected)?;
+        let rolling = camera.readout_s().is_some_and(|readout_s| readout_s != 0.0);
+        print_result(&folder, &correction, &corrected, rolling)?;
     }
     // The error that ended the recording is reported after everything before it has been written.
     corrected.failure.map_or(Ok(Outcome::Done), Err)
@@ -151,6 +152,7 @@ fn print_result(
     folder: &Path,
     correction: &ImageCorrection,
     corrected: &pipeline::CorrectionSummary,
+    rolling: bool,
 ) -> Result<()> {
     let camera = correction.camera();
     let empty = correction.pixels_without_source() as f64 / (camera.width() * camera.height()) as f64;
@@ -165,5 +167,11 @@ fn print_result(
         folder.join("before-after.png").display(),
     ))?;
     corrected.warnings.iter().for_each(|warning| console::warn(warning));
+    if rolling {
+        console::warn(
+            "the camera's readout time does not hold for the corrected frames, and is not in their camera file; \
+             for a run use the frames as they were, with their own camera file",
+        );
+    }
     Ok(())
 }

@@ -83,6 +83,9 @@ impl ImageCorrection {
             FieldOfViewKept::ValidPixels => valid_view(camera)?,
             FieldOfViewKept::AllPixels => whole_view(camera)?,
         };
+        // The rows of a rolling shutter are curves in the rectified image, which no readout time
+        // describes; a global shutter stays one.
+        let corrected = corrected.with_readout_s(camera.readout_s().filter(|readout_s| *readout_s == 0.0))?;
         let size = |camera: &Camera| (camera.width(), camera.height());
         let remap = Remap::new(size(camera), size(&corrected), |x, y| {
             let place = source_pixel(camera, &corrected, Pixel::new(x as f64, y as f64))?;
@@ -91,7 +94,8 @@ impl ImageCorrection {
         Ok(Self { source: camera.clone(), corrected, remap })
     }
 
-    /// The pinhole camera of the rectified images.
+    /// The pinhole camera of the rectified images. Its readout time is that of a global shutter where
+    /// the source has one, and unknown otherwise.
     pub fn camera(&self) -> &Camera {
         &self.corrected
     }

@@ -187,3 +187,16 @@ fn images_of_another_size_are_rejected() {
         "an image of 10x10 pixels cannot be corrected by a camera calibrated for 64x48"
     );
 }
+
+#[test]
+fn a_global_shutter_stays_one_and_a_rolling_one_becomes_unknown() {
+    for camera in cameras() {
+        for (given, kept_s) in [(Some(0.0), Some(0.0)), (Some(0.02), None), (None, None)] {
+            let camera = camera.clone().with_readout_s(given).unwrap();
+            for way in every_way() {
+                let corrected = ImageCorrection::new(&camera, way).unwrap();
+                assert_eq!(corrected.camera().readout_s(), kept_s, "{given:?} {way:?}");
+            }
+        }
+    }
+}
