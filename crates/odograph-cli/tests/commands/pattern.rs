@@ -54,8 +54,18 @@ fn a_pattern_is_subtracted_from_the_first_frame_on_and_a_map_is_continued_once()
         let distance_m = stats["distance_m"].as_f64().unwrap();
         assert!((distance_m - 1.2).abs() < 0.01, "{run}: {distance_m} m");
     }
-    // The frames up to where the pattern was found are not in the map twice.
+    // The examination begins again with the pattern, as the run does.
     let program = env!("CARGO_BIN_EXE_odograph");
+    let examine = "doctor dirty.y4m --camera drive/camera.yaml --height 0.75 --json";
+    let done = Command::new(program).args(examine.split(' ')).current_dir(place).output().unwrap();
+    let diagnosis: Value = serde_json::from_slice(&done.stdout).unwrap();
+    let finding = |topic: &str| {
+        let findings = diagnosis["findings"].as_array().unwrap();
+        findings.iter().find(|finding| finding["topic"] == topic).cloned().expect(topic)
+    };
+    assert!(finding("tracking")["value"] == 0.0, "{}", finding("tracking"));
+    assert!((finding("fixed pattern")["value"].as_f64().unwrap() - 9.2).abs() < 1.5, "{diagnosis}");
+    // The frames up to where the pattern was found are not in the map twice.
     let info = Command::new(program).args(["map", "info", "map.gpkg"]).current_dir(place).output().unwrap();
     let info = String::from_utf8(info.stdout).unwrap();
     assert_eq!(info.lines().filter(|line| line.starts_with("session ")).count(), 2, "{info}");

@@ -324,7 +324,10 @@ impl Seen<'_> {
 
     /// A rolling shutter of unknown readout time, and its effect at the speed of the recording.
     fn shutter(&self) -> Option<Finding> {
-        let learned = self.tracking.readout_s.filter(|(_, deviation_s)| *deviation_s <= KNOWN_S);
+        // With an assumed lens what it bends otherwise would be taken for the shutter.
+        let is_assumed = matches!(self.lens, GivenLens::Missing | GivenLens::OtherSize(..));
+        let learned =
+            self.tracking.readout_s.filter(|(_, deviation_s)| !is_assumed && *deviation_s <= KNOWN_S);
         if let Some(readout_s) = self.camera.readout_s().filter(|_| self.lens == GivenLens::Fits) {
             let measured = match 1e3 * readout_s {
                 0.0 => "a global shutter, as given".to_owned(),

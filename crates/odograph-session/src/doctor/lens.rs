@@ -7,6 +7,7 @@ use crate::rig::recorded_rig;
 use odograph::camera::Camera;
 use odograph::error::Result;
 use odograph::formats::camera_file;
+use odograph::motion::MotionModel;
 use odograph_video::SourceInfo;
 use std::fs;
 use std::path::Path;
@@ -69,6 +70,11 @@ pub fn with_some_camera(
             let field_m = (ASSUMED_FIELD, ASSUMED_FIELD * height / width);
             let camera = Camera::from_field_of_view(size, field_m, 1.0)?;
             builder.camera = Some(CameraChoice::Known(Box::new(camera)));
+            // Its focal length and distortion are none of this camera's: with them motions out of the
+            // plane would be estimated that are none, and frames be lost for it.
+            if builder.motion == MotionModel::Auto {
+                builder.motion = MotionModel::Similarity;
+            }
         }
     }
     Ok((builder, given))

@@ -15,14 +15,16 @@ mod tracking;
 use crate::builder::RunBuilder;
 use crate::mask;
 use crate::observer::Observer;
+use crate::plan::RunPlan;
 use appearance::Appearance;
 use findings::Seen;
 pub use findings::{Finding, Judgement};
 use intervals::Intervals;
 use odograph::error::{Error, Result};
-use odograph::fixed_pattern::{FixedPattern, ImageMask};
+use odograph::fixed_pattern::{FixedPattern, ImageMask, NonuniformityCorrection};
 use odograph_video::Source;
 use serde::Serialize;
+use std::ops::Range;
 use tracking::{Stretch, Tracking};
 
 /// Result of the examination of a recording.
@@ -65,25 +67,32 @@ impl RunBuilder {
         let given = plan.mask.as_deref().map(mask::read).transpose()?;
         let given = given.map(|picture| ImageMask::from_picture(&picture));
         let given_share = given.as_ref().map_or(0.0, ImageMask::share);
-        let fixed = FixedPattern::new(size);
-        let mut looked_at = Looked {
-            appearance: Appearance::new(size, plan.odometry.detection),
-            fixed: given.into_iter().fold(fixed, FixedPattern::with_given),
-            tracking: Tracking::new(&plan),
-            times_s: Vec::new(),
-            frames: 0,
-        };
         let stretches = stretches::of(info.frame_count);
-        observer.tracking_begins(Some(stretches.iter().map(|one| one.end - one.start).sum()));
-        for stretch in &stretches {
-            if !looked_at.pass_to(stretch.start, &mut source, observer)? {
-                break;
-            }
-            if !looked_at.follow_to(stretch.end, &mut source, Stretch::new(&plan)?, observer)? {
-                break;
+        let may_begin_again =
+            std::fs::metadata(&plan.source.path).is_ok_and(|there| there.is_file() || there.is_dir());
+        let mut looked_at = Looked::new(size, &plan, given.clone());
+        // Begins again as a run does: frames that were lost until a pattern that the camera adds, or
+        // another mount or lens was known are not lost.
+        let mut known = plan.clone();
+        known.correction = looked_at.look(&stretches, &mut source, &plan, may_begin_again, observer)?;
+        if known.correction.is_some() {
+            source = known.source.open()?;
+            looked_at = Looked::new(size, &known, given.clone());
+            looked_at.look(&stretches, &mut source, &known, false, observer)?;
+        }
+        if let Some(found) = looked_at.tracking.found.clone()
+            && may_begin_again
+            && !looked_at.tracking.lost.is_empty()
+        {
+            (known.rig, known.camera) = (found.rig(&known.rig), found.camera(&known.camera));
+            source = known.source.open()?;
+            let mut again = Looked::new(size, &known, given);
+            again.look(&stretches, &mut source, &known, false, observer)?;
+            if again.tracking.lost.len() < looked_at.tracking.lost.len() {
+                again.tracking.found = Some(found);
+                looked_at = again;
             }
         }
-        observer.tracking_ends();
         let seen = Seen {
             size,
             lens,
@@ -119,6 +128,44 @@ struct Looked {
 }
 
 impl Looked {
+    fn new(size: (usize, usize), plan: &RunPlan, given: Option<ImageMask>) -> Self {
+        Self {
+            appearance: Appearance::new(size, plan.odometry.detection),
+            fixed: given.into_iter().fold(FixedPattern::new(size), FixedPattern::with_given),
+            tracking: Tracking::new(plan),
+            times_s: Vec::new(),
+            frames: 0,
+        }
+    }
+
+    /// Looks at all stretches. Where a pattern that the camera adds to its images may end that,
+    /// returns it as soon as it is known.
+    fn look(
+        &mut self,
+        stretches: &[Range<u64>],
+        source: &mut Source,
+        plan: &RunPlan,
+        pattern_may_end: bool,
+        observer: &dyn Observer,
+    ) -> Result<Option<NonuniformityCorrection>> {
+        observer.tracking_begins(Some(stretches.iter().map(|one| one.end - one.start).sum()));
+        let mut pattern = None;
+        for one in stretches {
+            if !self.pass_to(one.start, source, observer)? {
+                break;
+            }
+            let mut stretch = Stretch::new(plan)?;
+            let more = self.follow_to(one.end, source, &mut stretch, pattern_may_end, observer)?;
+            pattern = stretch.pattern().filter(|_| pattern_may_end).cloned();
+            stretch.end(&mut self.tracking);
+            if !more || pattern.is_some() {
+                break;
+            }
+        }
+        observer.tracking_ends();
+        Ok(pattern)
+    }
+
     /// Passes frames without looking at them. Returns false at the end of the recording.
     fn pass_to(&mut self, start: u64, source: &mut Source, observer: &dyn Observer) -> Result<bool> {
         while (self.times_s.len() as u64) < start {
@@ -131,30 +178,30 @@ impl Looked {
         Ok(true)
     }
 
-    /// Looks at consecutive frames. Returns false at the end of the recording.
+    /// Looks at consecutive frames, at most until a pattern is known that may end that. Returns false
+    /// at the end of the recording.
     fn follow_to(
         &mut self,
         end: u64,
         source: &mut Source,
-        mut stretch: Stretch,
+        stretch: &mut Stretch,
+        pattern_may_end: bool,
         observer: &dyn Observer,
     ) -> Result<bool> {
-        let mut more = true;
         while (self.times_s.len() as u64) < end {
             check_stop(observer)?;
-            let Some(frame) = source.next_frame()? else {
-                more = false;
-                break;
-            };
+            let Some(frame) = source.next_frame()? else { return Ok(false) };
             self.times_s.push(frame.time_s);
             self.frames += 1;
             self.fixed.look(&frame.gray);
             let look = self.appearance.look(&frame.gray);
             let estimate = stretch.follow(frame, look, &mut self.tracking)?;
             observer.frame(&estimate);
+            if pattern_may_end && stretch.pattern().is_some() {
+                break;
+            }
         }
-        stretch.end(&mut self.tracking);
-        Ok(more)
+        Ok(true)
     }
 }
 

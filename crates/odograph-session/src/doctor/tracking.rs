@@ -167,6 +167,11 @@ impl Stretch {
         Ok(estimate)
     }
 
+    /// The pattern that the camera adds to its images, once it is known.
+    pub fn pattern(&self) -> Option<&NonuniformityCorrection> {
+        self.odometry.correction()
+    }
+
     /// Ends the stretch: its calibration is kept.
     pub fn end(self, into: &mut Tracking) {
         let found = self.found.or_else(|| self.monitor.and_then(|monitor| monitor.at_end()));
