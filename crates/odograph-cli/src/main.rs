@@ -7,6 +7,7 @@ mod files;
 mod interrupt;
 mod lengths;
 mod profiles;
+mod wrong_number;
 
 use clap::{CommandFactory, FromArgMatches, Parser, Subcommand};
 use odograph::error::{ErrorKind, Result};
@@ -55,9 +56,19 @@ const GROUPS: [(&str, &[&str]); 5] = [
     ("More", &["completions"]),
 ];
 
+/// A command whose options take `-1` as a value, which is then refused with what they expect.
+fn with_negative_values(command: clap::Command) -> clap::Command {
+    let names: Vec<String> = command.get_subcommands().map(|inner| inner.get_name().to_owned()).collect();
+    let command = command.mut_args(|argument| {
+        let takes_values = argument.get_long().is_some() && argument.get_action().takes_values();
+        if takes_values { argument.allow_negative_numbers(true) } else { argument }
+    });
+    names.into_iter().fold(command, |command, name| command.mut_subcommand(name, with_negative_values))
+}
+
 /// The program's command with its commands grouped in the help.
 fn command() -> clap::Command {
-    let command = Arguments::command();
+    let command = with_negative_values(Arguments::command());
     let mut groups = String::new();
     for (heading, names) in GROUPS {
         groups.push_str(&format!("{heading}:\n"));
@@ -96,8 +107,10 @@ impl From<RunEnd> for Outcome {
 }
 
 fn main() -> ExitCode {
-    let arguments =
-        Arguments::from_arg_matches(&command().get_matches()).unwrap_or_else(|error| error.exit());
+    let matches = command().try_get_matches();
+    let arguments = matches
+        .and_then(|matches| Arguments::from_arg_matches(&matches))
+        .unwrap_or_else(|error| wrong_number::in_words(error).exit());
     interrupt::listen();
     let outcome: Result<Outcome> = match arguments.command {
         Command::Demo(arguments) => commands::demo::demo(arguments),
