@@ -34,7 +34,7 @@ impl Complaint {
             }
             Some(ErrorCode::TooBig) => "something in it is larger than anything in a map".to_owned(),
             Some(_) => failure.to_string(),
-            None => format!("it holds what no map holds ({failure})"),
+            None => format!("it holds what no map holds ({failure}); odograph map repair saves the rest"),
         };
         Error::input(format!("{path} cannot be read as a map: {why}"))
     }
@@ -60,6 +60,11 @@ impl Complaint {
     /// Input error about damage that [`crate::repair`] can leave out.
     pub fn damage(&self, what: impl std::fmt::Display) -> Error {
         self.input(format!("{what}; odograph map repair saves the rest"))
+    }
+
+    /// Input error about the mosaic, which is made of the rest of the map.
+    pub fn damaged_mosaic(&self, what: impl std::fmt::Display) -> Error {
+        self.input(format!("{what}; odograph map mosaic renders it again"))
     }
 
     /// Usage error with the file's name.

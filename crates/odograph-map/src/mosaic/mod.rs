@@ -210,7 +210,7 @@ impl MapFile {
         {
             return Err(self
                 .complaint
-                .input("the description of the mosaic is not one that a mosaic can have"));
+                .damaged_mosaic("the description of the mosaic is not one that a mosaic can have"));
         }
         Ok(Some(layer))
     }
@@ -223,7 +223,8 @@ impl MapFile {
             .while_reading(&self.complaint)?;
         png.map(|png| {
             tile::decode(&png).map_err(|why| {
-                self.complaint.input(format!("the tile {column}, {row} of level {level} of the mosaic {why}"))
+                self.complaint
+                    .damaged_mosaic(format!("the tile {column}, {row} of level {level} of the mosaic {why}"))
             })
         })
         .transpose()

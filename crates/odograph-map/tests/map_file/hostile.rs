@@ -206,3 +206,16 @@ fn tables_without_end_are_refused() {
         assert!(message.contains("is damaged: its rows are not in order"), "{message}");
     }
 }
+
+#[test]
+fn a_damaged_mosaic_can_be_rendered_again() {
+    for sql in ["UPDATE mosaic SET tile_data = x'89504e47'", "UPDATE gpkg_tile_matrix SET pixel_x_size = 0"] {
+        let (_folder, path) = tampered(sql);
+        let message = sentence(&path);
+        assert!(message.ends_with("; odograph map mosaic renders it again"), "{message}");
+        let mut map = MapFile::open(&path).unwrap();
+        assert!(map.render_mosaic(Some(0.02), &mut |_| true).unwrap());
+        map.close().unwrap();
+        read_all(&path).unwrap();
+    }
+}

@@ -39,7 +39,10 @@ struct DatabaseRow {
 }
 
 fn failed(error: &rusqlite::Error) -> Error {
-    Error::input(format!("the database cannot be read: {error}"))
+    Error::input(format!(
+        "the database cannot be read: {error}; copy the recording again, or save the rest of it: \
+         sqlite3 DAMAGED.db3 .recover | sqlite3 SAVED.db3"
+    ))
 }
 
 impl Database {

@@ -44,7 +44,7 @@ fn damaged_robot_recordings_are_recognised_by_their_content() {
         ("named.mp4", b"\x89MCAP0\r\n", "this is an MCAP file without messages"),
         ("drive.bag", b"#ROSBAG V2.0\n\xff\xd8\xff\xe0", "this is a ROS 1 bag without messages"),
         ("old.bag", b"#ROSBAG V1.2\n\xff\xd8\xff\xe0", "older version than 2.0"),
-        ("drive.db3", database, "the database cannot be read"),
+        ("drive.db3", database, "copy the recording again, or save the rest of it: sqlite3 DAMAGED.db3"),
     ] {
         fs::write(place.path(name), bytes).unwrap();
         place.refused_usual(name, 3, words);
