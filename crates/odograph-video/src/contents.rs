@@ -55,6 +55,8 @@ pub struct Gap {
 pub enum StreamUse {
     /// Frames to follow, and the camera that took them as the recording describes it.
     Frames(Option<RecordedCamera>),
+    /// Nothing: images of depth, or of an encoding that is not read.
+    OtherImages,
     /// Description of a camera.
     CameraInfo,
     /// Turn rates.

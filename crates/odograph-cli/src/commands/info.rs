@@ -106,7 +106,7 @@ fn option(stream: &Stream) -> Option<String> {
         StreamUse::Wheel => Some(format!("--wheel-topic {topic}")),
         StreamUse::Range => Some(format!("--range-topic {topic}")),
         StreamUse::Gnss => Some(format!("--gnss-topic {topic}")),
-        StreamUse::CameraInfo | StreamUse::Nothing => None,
+        StreamUse::OtherImages | StreamUse::CameraInfo | StreamUse::Nothing => None,
     }
     .filter(|_| usable)
 }
@@ -179,7 +179,7 @@ fn figures(stream: &Stream) -> Vec<String> {
         (None, "") => {}
         (None, encoding) => figures.push(encoding.to_owned()),
     }
-    let frames = matches!(stream.usable_as, StreamUse::Frames(_));
+    let frames = matches!(stream.usable_as, StreamUse::Frames(_) | StreamUse::OtherImages);
     let unit = match (frames, stream.count) {
         (true, 1) => "frame",
         (true, _) => "frames",
@@ -229,6 +229,9 @@ fn notes(
                 (None, false) => {}
             }
         }
+        (StreamUse::OtherImages, _) => notes.push(
+            "images of depth, or of an encoding that is not read; a run needs gray or colour".to_owned(),
+        ),
         (StreamUse::CameraInfo, _) => notes.push("a camera".to_owned()),
         (StreamUse::Gyro | StreamUse::Wheel | StreamUse::Range | StreamUse::Gnss, Some(option)) => {
             notes.push(format!("odograph run … {option}"));

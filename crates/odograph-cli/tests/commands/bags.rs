@@ -78,6 +78,18 @@ fn image(time_ns: u64, gray: &[u8]) -> Vec<u8> {
     message.0
 }
 
+/// `sensor_msgs/msg/Image` of depths in millimetres.
+fn depth_image(time_ns: u64) -> Vec<u8> {
+    let mut message = Cdr::new(time_ns);
+    message.u32(HEIGHT);
+    message.u32(WIDTH);
+    message.text("16UC1");
+    message.0.push(0);
+    message.u32(2 * WIDTH);
+    message.bytes(&vec![3; (2 * WIDTH * HEIGHT) as usize]);
+    message.0
+}
+
 /// `sensor_msgs/msg/CameraInfo` of the camera in `recording::CAMERA`.
 fn camera_info(time_ns: u64) -> Vec<u8> {
     let mut message = Cdr::new(time_ns);
@@ -144,7 +156,7 @@ fn looking_down(z: f64) -> [f64; 7] {
     [0.3, 0.05, z, half, -half, 0.0, 0.0]
 }
 
-/// Writes an MCAP file with the images on each of the topics.
+/// Writes an MCAP file with the images on each of the topics; those named depth have depths.
 fn write(path: &Path, topics: &[&str]) {
     write_robot(path, topics, &[], &[]);
 }
@@ -185,8 +197,8 @@ fn write_robot(
         }
         put(infos, camera_info(time_ns));
         put(ranges, range(time_ns));
-        for &channel in &images {
-            put(channel, image(time_ns, view));
+        for (&channel, name) in images.iter().zip(topics) {
+            put(channel, if name.contains("depth") { depth_image(time_ns) } else { image(time_ns, view) });
         }
     }
     writer.finish().unwrap();
@@ -425,6 +437,22 @@ fn info_tells_what_is_in_a_recording_and_what_for() {
     );
     let output = odograph(here, "info camera.yaml");
     assert_eq!(output.status.code(), Some(3));
+}
+
+#[test]
+fn depth_beside_the_images_is_not_offered() {
+    let place = tempfile::tempdir().unwrap();
+    let here = place.path();
+    write(&here.join("both.mcap"), &["/front/depth/image_raw", "/front/image_raw"]);
+    let (text, _) = done(here, "info both.mcap");
+    assert!(text.contains("320x240 16UC1, 40 frames"), "{text}");
+    assert!(text.contains("    images of depth, or of an encoding that is not read"), "{text}");
+    assert!(!text.contains("--topic /front/depth") && text.contains("--topic /front/image_raw"), "{text}");
+    done(here, "run both.mcap --height 1.0 -o out --quiet");
+    // Named, it is refused with the reason.
+    let output = odograph(here, "run both.mcap --height 1.0 --topic /front/depth/image_raw -o other");
+    let message = String::from_utf8_lossy(&output.stderr).into_owned();
+    assert!(output.status.code() == Some(3) && message.contains("\"16UC1\" are not read"), "{message}");
 }
 
 #[test]

@@ -39,9 +39,10 @@ pub(crate) fn contents(mut recording: Box<dyn MessageReader>) -> Result<Contents
     let mut streams = Vec::new();
     for (index, (topic, role)) in topics.iter().zip(&roles).enumerate() {
         let first = images.iter().position(|image| image == topic).and_then(|at| firsts[at].clone());
-        let FirstImage { size, encoding } =
-            first.unwrap_or(FirstImage { size: None, encoding: String::new() });
+        let FirstImage { size, encoding, is_picture } =
+            first.unwrap_or(FirstImage { size: None, encoding: String::new(), is_picture: true });
         let usable_as = match role {
+            _ if role.has_frames() && !is_picture => StreamUse::OtherImages,
             // A camera of an unknown lens model is none; a run says why.
             _ if role.has_frames() => StreamUse::Frames(camera_of(recording, topic).unwrap_or(None)),
             Role::CameraInfo => StreamUse::CameraInfo,

@@ -44,12 +44,27 @@ pub(super) fn with_frames(recording: &mut dyn MessageReader, name: Option<&str>)
         ))),
         [] => Err(Error::input(format!("there are no images in it, only {}", others(recording.topics())))),
         [only] => Ok(only.clone()),
-        _ => Err(Error::usage(format!(
-            "there are {} topics with images; choose one with --topic NAME:{}",
-            all.len(),
-            list(recording, &all)?
-        ))),
+        _ => {
+            let pictures = with_pictures(recording, &all)?;
+            let listed = if pictures.is_empty() { &all } else { &pictures };
+            match listed.as_slice() {
+                [only] => Ok(only.clone()),
+                _ => Err(Error::usage(format!(
+                    "there are {} topics with images; choose one with --topic NAME:{}",
+                    listed.len(),
+                    list(recording, listed)?
+                ))),
+            }
+        }
     }
+}
+
+/// Those of the topics whose images show light: a depth camera has others beside them.
+fn with_pictures(recording: &mut dyn MessageReader, topics: &[Topic]) -> Result<Vec<Topic>> {
+    let firsts = first_images(recording, topics)?;
+    let is_picture = |first: &Option<FirstImage>| first.as_ref().is_none_or(|first| first.is_picture);
+    let shown = topics.iter().zip(&firsts).filter(|(_, first)| is_picture(first));
+    Ok(shown.map(|(topic, _)| topic.clone()).collect())
 }
 
 /// The topics without images, for people.
@@ -70,7 +85,7 @@ fn list(recording: &mut dyn MessageReader, topics: &[Topic]) -> Result<String> {
     let firsts = first_images(recording, topics)?;
     let row = |(topic, first): (&Topic, &Option<FirstImage>)| {
         let image = match first {
-            Some(FirstImage { size: Some((width, height)), encoding }) => {
+            Some(FirstImage { size: Some((width, height)), encoding, .. }) => {
                 format!("{width}x{height} {encoding}")
             }
             Some(FirstImage { encoding, .. }) => encoding.clone(),
@@ -99,6 +114,8 @@ pub(super) struct FirstImage {
     /// Width and height, pixels; `None` for a video, or an image that cannot be decoded.
     pub size: Option<(usize, usize)>,
     pub encoding: String,
+    /// Whether images of this encoding show light: depth images and unknown encodings do not.
+    pub is_picture: bool,
 }
 
 /// The first image of each of the topics, and rewinds the recording.
@@ -124,7 +141,9 @@ pub(super) fn first_images(
                     .map(|picture| (picture.gray.width(), picture.gray.height())),
                 _ => None,
             };
-            firsts[index] = Some(FirstImage { size, encoding: image::encoding(topic, message.data) });
+            let is_picture = image::is_picture(topic, message.data);
+            let encoding = image::encoding(topic, message.data);
+            firsts[index] = Some(FirstImage { size, encoding, is_picture });
         }
     }
     recording.rewind()?;

@@ -92,6 +92,28 @@ pub(crate) fn picture(topic: &Topic, data: &[u8], color: bool) -> Result<Picture
     }
 }
 
+/// Whether the image of a message shows light: a depth image does not, nor is an encoding read that
+/// is unknown. Damaged images and videos are taken for pictures.
+pub(crate) fn is_picture(topic: &Topic, data: &[u8]) -> bool {
+    match Role::of(topic) {
+        Role::Image => raw_image(topic, data).map_or(true, |image| image.layout().is_some()),
+        Role::CompressedImage => !is_compressed_depth(topic, data),
+        _ => true,
+    }
+}
+
+/// Whether the format of a compressed image, such as `16UC1; compressedDepth png`, is one of depth.
+fn is_compressed_depth(topic: &Topic, data: &[u8]) -> bool {
+    let format = || {
+        let mut message = MessageCursor::new(data, &topic.serialization)?;
+        message.header()?;
+        message.string()
+    };
+    format().is_some_and(|format| {
+        ["16UC1", "32FC1"].iter().any(|depth| format.starts_with(depth)) || format.contains("compressedDepth")
+    })
+}
+
 /// Encoding of an image for people, e.g. `bgr8` or `jpeg`.
 pub(crate) fn encoding(topic: &Topic, data: &[u8]) -> String {
     match Role::of(topic) {
