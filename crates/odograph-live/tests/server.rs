@@ -95,13 +95,18 @@ fn only_the_listed_files_of_the_run_are_served() {
         "//etc/passwd",
         "/tiles/0/../../stats.json.png",
         "/tiles/99999999999999999999/0.png",
-        "/tiles/1/-9223372036854775808.png",
         "/run/stats.json",
     ] {
         let answer = get(address, path, "");
         assert_eq!(status(&answer), "404", "{path}: {answer}");
         assert!(!answer.contains("secret"), "{path}");
     }
+    // The page is told of tiles that have become empty, and asks for them.
+    for path in ["/tiles/1/0.png", "/tiles/1/-9223372036854775808.png"] {
+        let answer = get(address, path, "");
+        assert!(status(&answer) == "204" && !answer.contains("Content-Length"), "{path}: {answer}");
+    }
+    assert_eq!(get(address, "/favicon.ico", ""), get(address, "/icon.svg", ""));
     // The only writing requests are to set a mark and to stop.
     for request in ["PUT /files/stats.json HTTP/1.1", "DELETE /files/stats.json HTTP/1.1"] {
         assert_eq!(status(&raw(address, format!("{request}\r\nHost: localhost\r\n\r\n").as_bytes())), "405");

@@ -123,7 +123,11 @@ fn get(site: &Site, path: &str) -> Answer {
 /// The mosaic, with its placement in headers: metres of a pixel, and where the middle of its upper
 /// left pixel is.
 fn mosaic(site: &Site) -> Answer {
-    let Ok(Some(picture)) = site.mosaic(MOST_PIXELS) else { return Answer::refusal(NOT_FOUND) };
+    let picture = match site.mosaic(MOST_PIXELS) {
+        Ok(Some(picture)) => picture,
+        Ok(None) => return Answer::nothing(),
+        Err(_) => return Answer::refusal(NOT_FOUND),
+    };
     let mut bytes = Vec::new();
     let mut encoder = png::Encoder::new(&mut bytes, picture.width as u32, picture.height as u32);
     encoder.set_color(png::ColorType::Rgba);

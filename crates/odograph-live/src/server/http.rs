@@ -229,6 +229,11 @@ impl Answer {
         Self { status: 200, reason: "OK", content_type, headers: Vec::new(), body: body.into() }
     }
 
+    /// A successful response that has no content.
+    pub fn nothing() -> Self {
+        Self { status: 204, reason: "No Content", ..Self::ok("", []) }
+    }
+
     /// A response that says why a request is refused.
     pub fn refusal(HttpRefusal(status, reason): HttpRefusal) -> Self {
         let body = format!("{reason}\n").into_bytes();
@@ -245,7 +250,10 @@ impl Answer {
     /// The status line and headers, for a body of `length` bytes.
     pub fn head(&self, length: u64, keep_alive: bool) -> String {
         let mut head = format!("HTTP/1.1 {} {}\r\n", self.status, self.reason);
-        head += &format!("Content-Type: {}\r\nContent-Length: {length}\r\n", self.content_type);
+        // A response without content has neither (RFC 9110, section 8.6).
+        if self.status != 204 {
+            head += &format!("Content-Type: {}\r\nContent-Length: {length}\r\n", self.content_type);
+        }
         head += &format!("Connection: {}\r\n", if keep_alive { "keep-alive" } else { "close" });
         // Nothing is loaded from other origins, no other page may embed this one, and the browser
         // caches nothing.

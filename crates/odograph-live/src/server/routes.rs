@@ -20,10 +20,12 @@ pub enum Next {
 }
 
 /// The page's files: path, content type and content. All of them are compiled into the program.
-const PAGE: [(&str, &str, &str); 9] = [
+const PAGE: [(&str, &str, &str); 10] = [
     ("/", "text/html; charset=utf-8", include_str!("../page/index.html")),
     ("/style.css", "text/css; charset=utf-8", include_str!("../page/style.css")),
     ("/icon.svg", "image/svg+xml", include_str!("../page/icon.svg")),
+    // What browsers ask for that do not read the page's link to its icon.
+    ("/favicon.ico", "image/svg+xml", include_str!("../page/icon.svg")),
     ("/app.js", "text/javascript; charset=utf-8", include_str!("../page/app.js")),
     ("/track.js", "text/javascript; charset=utf-8", include_str!("../page/track.js")),
     ("/map.js", "text/javascript; charset=utf-8", include_str!("../page/map.js")),
@@ -85,9 +87,10 @@ fn get(shared: &ServerState, path: &str) -> Answer {
         "/files" => Some(Answer::ok(JSON, json!(files(shared)).to_string())),
         "/marks" => Some(Answer::ok(JSON, json!(hub.marks_from(0)).to_string())),
         "/picture.jpg" => hub.view().map(|view| Answer::ok("image/jpeg", view.jpeg.clone())),
-        _ => tile(path).and_then(|tile| {
-            let png = tile_png(&hub.ground().tile_rgba(tile)?)?;
-            Some(Answer::ok("image/png", png))
+        _ => tile(path).map(|tile| match hub.ground().tile_rgba(tile) {
+            Some(rgba) => tile_png(&rgba).map_or_else(Answer::nothing, |png| Answer::ok("image/png", png)),
+            // Announced as the others: a loop closure has moved the ground elsewhere.
+            None => Answer::nothing(),
         }),
     };
     found.unwrap_or_else(|| Answer::refusal(NOT_FOUND))

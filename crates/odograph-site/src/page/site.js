@@ -20,6 +20,11 @@ function everything() {
     box = box ? [Math.min(box[0], x), Math.min(box[1], y), Math.max(box[2], x), Math.max(box[3], y)] : [x, y, x, y];
   };
   for (const session of state.sessions) session.path.forEach(([x, y]) => add(x, y));
+  if (mosaic) {
+    const [left, top] = [mosaic.x - mosaic.metres / 2, mosaic.y + mosaic.metres / 2];
+    add(left, top);
+    add(left + mosaic.image.width * mosaic.metres, top - mosaic.image.height * mosaic.metres);
+  }
   if (!box) return { x: 0, y: 0, metres: 0.01 };
   const width = Math.max(1, box[2] - box[0]), height = Math.max(1, box[3] - box[1]);
   const metres = 1.2 * Math.max(width / canvas.width, height / canvas.height);
@@ -140,9 +145,10 @@ function problem(text) {
 async function loadMosaic(version) {
   const answer = await fetch("mosaic.png");
   if (!answer.ok) return;
+  mosaicShown = version;
+  if (answer.status === 204) return; // nothing is rendered yet
   const [metres, x, y] = answer.headers.get("X-Placement").split(" ").map(Number);
   mosaic = { image: await createImageBitmap(await answer.blob()), metres, x, y };
-  mosaicShown = version;
 }
 
 async function look() {
