@@ -55,6 +55,9 @@ impl Datagrams {
             .to_socket_addrs()?
             .next()
             .ok_or_else(|| io::Error::new(io::ErrorKind::NotFound, "no such address"))?;
+        if to.port() == 0 {
+            return Err(io::Error::new(io::ErrorKind::InvalidInput, "nobody can listen on port 0"));
+        }
         let any = if to.is_ipv4() { "0.0.0.0:0" } else { "[::]:0" };
         let socket = UdpSocket::bind(any)?;
         socket.set_nonblocking(true)?;

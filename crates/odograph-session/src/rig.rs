@@ -3,8 +3,8 @@
 use crate::files;
 use crate::observer::Observer;
 use odograph::camera::{LeverArm, Rig};
-use odograph::error::Result;
-use odograph::formats::rig_file;
+use odograph::error::{Error, Result};
+use odograph::formats::{camera_file, rig_file};
 use std::path::Path;
 
 /// Cameras on vehicles are lower: above this a height without a unit is probably in another unit
@@ -28,7 +28,15 @@ pub fn doubtful_unit(height_m: f64) -> Option<(&'static str, &'static str)> {
 /// # Errors
 /// If the file cannot be read or is no rig file.
 pub fn read_rig(path: &Path, observer: &dyn Observer) -> Result<Rig> {
-    let rig = rig_file::parse(&files::read_text(path)?).map_err(|error| error.at(path.display()))?;
+    let text = files::read_text(path)?;
+    let rig = rig_file::parse(&text).map_err(|error| {
+        // The two are easily mistaken for each other.
+        if camera_file::parse(&text, Some((640, 480))).is_ok() {
+            return Error::input("this is a camera file, not a rig file; give it with --camera")
+                .at(path.display());
+        }
+        error.at(path.display())
+    })?;
     if let Some((_, name)) = doubtful_unit(rig.height_m) {
         observer.warn(&format!(
             "{}: height_m is {}, a camera {} metres above the ground; are {name} meant?",

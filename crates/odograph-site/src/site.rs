@@ -80,6 +80,14 @@ impl Site {
             .map_err(|error| Error::output(format!("{} cannot be made: {error}", folder.display())))?;
         let claim = MapClaim::on(&folder.join("map.gpkg"))?;
         let path = folder.join("records.sqlite");
+        // The map of a site is made of its records.
+        if MapFile::is_there(claim.path()) && !path.exists() {
+            return Err(Error::input(format!(
+                "{} has the map of a run, and no records of a site; give an empty folder, and send the map to the \
+                 site with odograph site send",
+                folder.display()
+            )));
+        }
         let records = Records::open(&path)?;
         let mut merger = Merger {
             records: Records::open(&path)?,

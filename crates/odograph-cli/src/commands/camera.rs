@@ -79,7 +79,8 @@ fn read(path: &Path, size: Option<(usize, usize)>) -> Result<Camera> {
 
 fn convert(arguments: &ConvertArguments) -> Result<()> {
     let named = |path: &PathBuf| CameraFormat::of_file_name(&path.file_name()?.to_string_lossy());
-    let format = match (arguments.to, &arguments.output) {
+    let to_file = arguments.output.as_ref().filter(|path| *path != Path::new("-"));
+    let format = match (arguments.to, to_file) {
         (Some(format), _) => format,
         (None, Some(path)) => named(path).ok_or_else(|| {
             Error::usage(format!(
@@ -95,7 +96,7 @@ fn convert(arguments: &ConvertArguments) -> Result<()> {
     };
     let camera = read(&arguments.input, arguments.size)?;
     let text = camera_file::write_as(&camera, format).map_err(|error| error.at(arguments.input.display()))?;
-    match &arguments.output {
+    match to_file {
         None => console::print(&text),
         Some(path) if path.exists() && !arguments.force => Err(Error::usage(format!(
             "{} is already there; choose another name or give --force",

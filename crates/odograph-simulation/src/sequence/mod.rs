@@ -359,7 +359,7 @@ fn times_s(config: &SimulationConfig) -> Result<Vec<f64>> {
     let fps = config.fps;
     if !(fps.is_finite() && fps > 0.0 && fps <= 100_000.0) {
         return Err(Error::usage(format!(
-            "the frame rate is {fps:?}; it must be a positive number of frames per second"
+            "the frame rate is {fps:?}; it must be above 0 and at most 100000 frames per second"
         )));
     }
     let duration_s = config.duration_s.unwrap_or(config.path.duration_s());

@@ -1,6 +1,7 @@
 //! What a site refuses.
 
 use crate::robots::Robot;
+use odograph::camera::Rig;
 use odograph_map::{MapFile, Outbox, SessionOrigin};
 use odograph_site::{Site, SiteServer};
 use serde_json::{Value, json};
@@ -191,4 +192,15 @@ fn what_no_robot_sends_is_refused() {
     assert_eq!(served.post(&path, b"").1["acknowledged"], Value::Null);
     assert_eq!(served.post("/nothing", b"").0, 404);
     assert_eq!(served.ask("PUT", "/sessions", "", b"").0, 405);
+}
+
+#[test]
+fn the_folder_of_a_run_is_not_served() {
+    let folder = tempfile::tempdir().unwrap();
+    let camera = crate::robots::Robot::first().camera;
+    let map = MapFile::create(&folder.path().join("map.gpkg"), &camera, &Rig::level(1.0)).unwrap();
+    map.close().unwrap();
+    let refused = Site::open(folder.path()).unwrap_err().to_string();
+    assert!(refused.contains("has the map of a run"), "{refused}");
+    assert!(!folder.path().join("records.sqlite").exists());
 }
