@@ -98,6 +98,14 @@ pub(crate) fn write_of_session(
     Ok(())
 }
 
+/// Removes camera and mount of a session.
+pub(crate) fn remove_of_session(connection: &Connection, session: u32) -> rusqlite::Result<()> {
+    if schema::has_further(connection, "odograph_session_camera", TABLE)? {
+        connection.execute("DELETE FROM odograph_session_camera WHERE session = ?1", [session])?;
+    }
+    Ok(())
+}
+
 /// The sessions that have a camera or a mount of their own.
 pub(crate) fn read_of_sessions(
     connection: &Connection,

@@ -9,6 +9,7 @@ use crate::{cameras, schema};
 use odograph::camera::{Camera, Rig};
 use odograph::error::{Error, Result};
 use odograph::ground_map::{GroundMap, KeyframeImages, MountedCamera};
+use odograph::keyframe::KeyframeId;
 use rusqlite::config::DbConfig;
 use rusqlite::limits::Limit;
 use rusqlite::{Connection, ErrorCode, OpenFlags, Transaction, params};
@@ -316,6 +317,23 @@ impl MapFile {
             self.other_cameras.insert(id, other);
         }
         Ok(id)
+    }
+
+    /// Removes a session with its keyframes, their edges and its path. The mosaic is not changed.
+    pub fn remove_session(&mut self, session: u32) -> Result<()> {
+        let own = self.keyframes()?.into_iter().filter(|keyframe| keyframe.session == session);
+        let own: Vec<KeyframeId> = own.map(|keyframe| keyframe.id).collect();
+        self.remove_keyframes(&own, &[])?;
+        self.set_path(session, &[])?;
+        let remove = |connection: &Connection| {
+            cameras::remove_of_session(connection, session)?;
+            origin::remove_session(connection, session)?;
+            connection.execute("DELETE FROM odograph_session WHERE id = ?1", [session])
+        };
+        remove(&self.connection).while_writing(&self.complaint)?;
+        self.other_cameras.remove(&session);
+        self.numbered_from.remove(&session);
+        Ok(())
     }
 
     /// The sessions in order.

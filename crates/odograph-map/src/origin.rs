@@ -125,6 +125,14 @@ pub(crate) fn remove(connection: &Connection, gone: &[KeyframeId]) -> rusqlite::
     gone.iter().try_for_each(|keyframe| statement.execute([keyframe.0]).map(drop))
 }
 
+/// Removes what is known of the origin of a session.
+pub(crate) fn remove_session(connection: &Connection, session: u32) -> rusqlite::Result<()> {
+    if is_there(connection)? {
+        connection.execute("DELETE FROM odograph_session_origin WHERE session = ?1", [session])?;
+    }
+    Ok(())
+}
+
 fn is_there(connection: &Connection) -> rusqlite::Result<bool> {
     Ok(schema::has_further(connection, "odograph_session_origin", SESSIONS)?
         && schema::has_further(connection, "odograph_keyframe_origin", KEYFRAMES)?)

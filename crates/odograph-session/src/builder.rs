@@ -1,13 +1,13 @@
 //! Configuration of a run.
 
 use crate::output::{MapUse, RunOutput};
-use crate::plan::{FrameChoice, MarkerPlan, SourcePlan};
+use crate::plan::{FrameChoice, MarkerPlan, RunPlan, SourcePlan};
 use crate::report::RunReporter;
 use crate::sensors::SensorFiles;
 use odograph::camera::{Camera, Rig};
 use odograph::motion::MotionModel;
 use std::fmt;
-use std::path::PathBuf;
+use std::path::{Path, PathBuf};
 use std::sync::Arc;
 
 /// Source of the camera calibration.
@@ -39,6 +39,8 @@ pub struct RunBuilder {
     pub(crate) source: SourcePlan,
     /// Whether the source is the `run.toml` of an earlier run.
     pub(crate) repeats: bool,
+    /// The plan of the killed run that begins again.
+    pub(crate) resumed: Option<Arc<RunPlan>>,
     pub(crate) camera: Option<CameraChoice>,
     pub(crate) mount: Option<MountChoice>,
     pub(crate) frame: Option<FrameChoice>,
@@ -77,6 +79,7 @@ impl RunBuilder {
         Self {
             source,
             repeats: false,
+            resumed: None,
             camera: None,
             mount: None,
             frame: None,
@@ -249,6 +252,11 @@ impl RunBuilder {
     pub fn map(mut self, map: MapUse) -> Self {
         self.output.map = map;
         self
+    }
+
+    /// The map that is continued or looked into; `None` for a new one in the folder.
+    pub fn map_file(&self) -> Option<&Path> {
+        self.output.map.path()
     }
 
     /// Name of the robot: the session has an origin in the map then, and can be sent to a site.

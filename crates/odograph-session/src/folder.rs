@@ -1,10 +1,13 @@
 //! The output folder: nothing is overwritten without permission, no file is half-written, and
 //! computed frames are on disk if the program is killed.
 
+use crate::begun_run;
 use crate::files;
 use crate::kept_frames::KeptFrames;
 use crate::output::{MapUse, RunOutput};
+use crate::plan::RunPlan;
 use crate::statistics::RunStatistics;
+use crate::unfinished::UnfinishedRun;
 use odograph::error::{Error, Result};
 use odograph::formats::trajectory_file::{self, FRAMES_HEADER, frame_line, tum_header, tum_line};
 use odograph::pose_frame::{PoseFrame, PoseFrames};
@@ -46,6 +49,8 @@ pub struct OutputFolder {
     pending: Vec<FrameEstimate>,
     /// Whether the header and some frames are on disk.
     started: bool,
+    /// Whether it is written down what is run.
+    begun: bool,
     /// Whether a map of an earlier run is there.
     had_map: bool,
     /// Folders created for this run, the innermost first.
@@ -58,8 +63,11 @@ pub struct OutputFolder {
 }
 
 impl Drop for OutputFolder {
-    /// A run without a frame on disk leaves no files.
+    /// A run without a frame on disk leaves no files. One that ends by itself has said why.
     fn drop(&mut self) {
+        if self.begun {
+            begun_run::end(&self.path);
+        }
         if !self.started {
             let _ = fs::remove_file(files::beside(&self.path.join("trajectory.csv")));
             if !self.had_map {
@@ -110,6 +118,7 @@ impl OutputFolder {
             growing,
             pending: Vec::new(),
             started: false,
+            begun: false,
             had_map,
             made,
             claims,
@@ -120,6 +129,12 @@ impl OutputFolder {
     /// The claim on the map that this run writes, if any.
     pub fn claim_on(&self, map: &Path) -> Option<&MapClaim> {
         self.claims.iter().find(|claim| claim.is_on(map))
+    }
+
+    /// Writes down what is run, so that it can be run again where this program is killed.
+    pub fn begin(&mut self, plan: &RunPlan, output: &RunOutput) -> Result<()> {
+        self.begun = true;
+        begun_run::begin(&self.path, plan, output)
     }
 
     /// Discards what was recorded, because the run starts again.
@@ -173,7 +188,8 @@ impl OutputFolder {
 
     /// Whether a file of an earlier run has these bytes.
     pub fn holds(&self, name: &str, bytes: &[u8]) -> bool {
-        fs::read(self.path.join(name)).is_ok_and(|there| there == bytes)
+        odograph_video::read_regular_file(&self.path.join(name), bytes.len() as u64)
+            .is_ok_and(|there| there == bytes)
     }
 
     /// Writes one file.
@@ -244,7 +260,10 @@ impl OutputFolder {
 
     /// Writes the statistics, the last file: if it exists the output is complete.
     pub fn finish(&mut self, statistics: &RunStatistics) -> Result<()> {
-        self.write("stats.json", (statistics.json()? + "\n").as_bytes())
+        self.write("stats.json", (statistics.json()? + "\n").as_bytes())?;
+        begun_run::end(&self.path);
+        self.begun = false;
+        Ok(())
     }
 }
 
@@ -257,20 +276,21 @@ fn check_free(folder: &Path, force: bool) -> Result<()> {
     let is_there = |file: &PathBuf| if *file == own_map { MapFile::is_there(file) } else { file.exists() };
     let growing = files::beside(&folder.join("trajectory.csv"));
     let has_frames = fs::metadata(&growing).is_ok_and(|file| file.len() > 0);
+    let has_frames = has_frames || begun_run::has_half_session(folder);
     let there = RUN_FILES.iter().map(|name| folder.join(name)).find(is_there);
     there.or(has_frames.then_some(growing)).map_or(Ok(()), |there| Err(is_taken(folder, &there)))
 }
 
 /// The refusal of a folder with results: of a run that was killed it says what there is to do.
 fn is_taken(folder: &Path, there: &Path) -> Error {
-    let unfinished = !folder.join("stats.json").exists()
-        && (folder.join("run.toml").exists() || files::beside(&folder.join("trajectory.csv")).exists());
-    if unfinished {
-        return Error::usage(format!(
-            "{0} has a run that did not end; odograph view {0} shows what it has, and --force discards it and begins \
-             again",
-            folder.display()
-        ));
+    if let Some(unfinished) = UnfinishedRun::in_folder(folder) {
+        let (shown, there) = (folder.display(), unfinished.description(folder));
+        return Error::usage(match unfinished.goes_on {
+            true => format!("{shown} {there}; choose another folder"),
+            false => format!(
+                "{shown} {there}; odograph view {shown} shows what it has, and --force discards it and begins anew"
+            ),
+        });
     }
     Error::usage(format!(
         "{} is already there; choose another folder, or --force to overwrite it",

@@ -1,6 +1,7 @@
 //! Output of a run.
 
 use crate::files;
+use crate::half_session::HalfSession;
 use odograph::error::{Error, Result};
 use std::path::{Path, PathBuf};
 use tempfile::TempDir;
@@ -45,6 +46,8 @@ pub(crate) struct RunOutput {
     pub bag: Option<PathBuf>,
     /// `None`: as many as are useful.
     pub threads: Option<usize>,
+    /// The session of a killed run, which this run replaces.
+    pub half_session: Option<HalfSession>,
     /// Minimum number of frames of a recording.
     pub least_frames: usize,
 }
@@ -58,6 +61,7 @@ impl Default for RunOutput {
             robot: None,
             bag: None,
             threads: None,
+            half_session: None,
             least_frames: 2,
         }
     }

@@ -184,14 +184,18 @@ impl RunPlan {
             let why = error.message().replace('\n', ", ");
             Error::input(format!("{} is not the run.toml of a run: {why}", path.display())).caused_by(error)
         })?;
-        // The error names the file, not the option.
+        Ok(plan.validated(path)?.brought_from(path.parent().unwrap_or(Path::new(""))))
+    }
+
+    /// The plan, if its values are in range. The error names the file that it is from.
+    pub(crate) fn validated(self, path: &Path) -> Result<Self> {
         let at_fault = |error: Error| Error::input(format!("{}: {error}", path.display())).caused_by(error);
-        plan.rig.validated().map_err(at_fault)?;
-        plan.odometry.validated().map_err(at_fault)?;
-        plan.slam.validated().map_err(at_fault)?;
-        plan.pose_frame().map_err(at_fault)?;
-        plan.antenna.map(LeverArm::validated).transpose().map_err(at_fault)?;
-        Ok(plan.brought_from(path.parent().unwrap_or(Path::new(""))))
+        self.rig.validated().map_err(at_fault)?;
+        self.odometry.validated().map_err(at_fault)?;
+        self.slam.validated().map_err(at_fault)?;
+        self.pose_frame().map_err(at_fault)?;
+        self.antenna.map(LeverArm::validated).transpose().map_err(at_fault)?;
+        Ok(self)
     }
 
     /// Uses the camera of a continued map where it is the plan's with a lens that an earlier run

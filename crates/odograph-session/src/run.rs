@@ -39,8 +39,15 @@ impl RunBuilder {
                 path.display()
             )));
         }
+        // What a killed run has left is not touched before its source can be read.
+        let resumed = match &self.resumed {
+            Some(plan) => Some((plan.as_ref().clone(), plan.source.open()?)),
+            None => None,
+        };
         let folder = OutputFolder::new(&path, &self.output)?;
-        let (plan, source) = if self.repeats {
+        let (plan, source) = if let Some(resumed) = resumed {
+            resumed
+        } else if self.repeats {
             let plan = RunPlan::read(Path::new(&self.source.path))?;
             let source = plan.source.open()?;
             (plan, source)
@@ -51,6 +58,11 @@ impl RunBuilder {
                 Ok((source, size))
             })?
         };
+        if let (Some(half), Some(map)) = (&self.output.half_session, self.output.map.path())
+            && let Some(claim) = folder.claim_on(map)
+        {
+            half.remove(claim)?;
+        }
         Ok(Run {
             plan,
             source,
@@ -141,6 +153,7 @@ fn track(
     output: &RunOutput,
     observer: &dyn Observer,
 ) -> Result<Tracked> {
+    folder.begin(plan, output)?;
     plan.take_lens_of(output.map.path())?;
     let mut watch = CameraWatch::new(plan);
     watch.look_first(plan, &output.map, observer)?;

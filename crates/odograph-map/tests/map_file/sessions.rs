@@ -1,11 +1,11 @@
 //! Maps of several robots: each session with its camera and its origin.
 
-use crate::ground::{camera, edge_to, image, keyframe};
+use crate::ground::{camera, edge_to, image, keyframe, pose};
 use odograph::camera::{Camera, Distortion, LeverArm, Rig};
 use odograph::ground_map::{KeyframeImage, KeyframeImages, MountedCamera};
 use odograph::image::GrayImage;
 use odograph::keyframe::{EdgeKind, KeyframeId, MapEdge};
-use odograph_map::{MapFile, Outbox, OutgoingRecord, repair};
+use odograph_map::{MapFile, Outbox, OutgoingRecord, PathFrame, repair};
 use std::path::Path;
 
 fn other() -> MountedCamera {
@@ -71,6 +71,28 @@ fn sessions_keep_their_own_camera_and_origin() {
     assert!(map.render_mosaic(None, &mut |_| true).unwrap());
     map.remove_keyframes(&[KeyframeId(1)], &[]).unwrap();
     assert_eq!(map.number_of(KeyframeId(1)).unwrap(), None);
+}
+
+#[test]
+fn a_removed_session_leaves_nothing_behind() {
+    let folder = tempfile::tempdir().unwrap();
+    let path = folder.path().join("map.gpkg");
+    with_two_cameras(&path);
+    let mut map = MapFile::open(&path).unwrap();
+    let frame = PathFrame { frame: 3, segment: 0, time_s: 0.1, pose: pose(1) };
+    map.set_path(1, &[frame, PathFrame { frame: 4, time_s: 0.2, ..frame }]).unwrap();
+    map.add_edges(&[loop_between(2, 0)]).unwrap();
+    map.remove_session(1).unwrap();
+    map.check().unwrap();
+    let ground = map.map().unwrap();
+    assert_eq!(ground.keyframes.iter().map(|keyframe| keyframe.id.0).collect::<Vec<_>>(), [0]);
+    assert!(ground.edges.is_empty() && ground.other_cameras.is_empty());
+    assert_eq!(map.sessions().unwrap().len(), 1);
+    assert!(map.path_of(1).unwrap().is_empty());
+    // The next session takes its place, with a camera of its own.
+    assert_eq!(map.begin_session("c.mp4").unwrap(), 1);
+    map.close().unwrap();
+    assert!(MapFile::open_read_only(&path).unwrap().other_cameras().is_empty());
 }
 
 #[test]

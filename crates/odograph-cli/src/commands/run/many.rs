@@ -34,7 +34,7 @@ pub struct ListedRecording {
 /// The recordings of a call with more than one source or with a folder of videos; `None` for a
 /// single one.
 pub fn recordings(arguments: &RunArguments) -> Result<Option<Vec<ListedRecording>>> {
-    let given = || std::iter::once(&arguments.source).chain(&arguments.more);
+    let given = || arguments.source.iter().chain(&arguments.more);
     let mut sources = Vec::new();
     for source in given() {
         match videos_in(Path::new(source)) {
@@ -42,7 +42,7 @@ pub fn recordings(arguments: &RunArguments) -> Result<Option<Vec<ListedRecording
             videos => sources.extend(videos.iter().map(|path| path.display().to_string())),
         }
     }
-    if arguments.more.is_empty() && sources == [arguments.source.clone()] {
+    if arguments.more.is_empty() && sources == [arguments.source()] {
         return Ok(None);
     }
     if let Some(map) = &arguments.output.map {
@@ -51,7 +51,7 @@ pub fn recordings(arguments: &RunArguments) -> Result<Option<Vec<ListedRecording
             map.display()
         )));
     }
-    if let Some(single) = given().find(|source| *source == "-" || source.ends_with(".toml")) {
+    if let Some(single) = given().find(|source| source.as_str() == "-" || source.ends_with(".toml")) {
         return Err(Error::usage(format!("{single} is run by itself, not among other recordings")));
     }
     let one_alone = [

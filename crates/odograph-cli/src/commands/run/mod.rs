@@ -26,8 +26,8 @@ pub struct RunArguments {
     ///
     /// Robot recordings are MCAP files, ROS 1 bags, and rosbag2 folders and databases; `-` is
     /// standard input.
-    #[arg(value_name = "SOURCE")]
-    pub source: String,
+    #[arg(value_name = "SOURCE", required_unless_present = "resume")]
+    pub source: Option<String>,
     /// More recordings of the same camera, or one folder of videos as SOURCE.
     ///
     /// Each gets a folder of its own in -o; as many run at a time as there are cores.
@@ -90,6 +90,13 @@ pub struct RunArguments {
     /// folder frames/; with a number where that is there already]
     #[arg(help_heading = "Results", short = 'o', long = "output", value_name = "FOLDER")]
     pub folder: Option<PathBuf>,
+    /// Run again what was killed in this folder, from its first frame to its end.
+    ///
+    /// With the options that it was begun with, in the same folder: a run gives the same bytes each
+    /// time, so nothing is lost but the time. What a killed run has added to a map of --map is
+    /// replaced.
+    #[arg(help_heading = "Results", long, value_name = "FOLDER", conflicts_with_all = ["source", "more", "folder"])]
+    pub resume: Option<PathBuf>,
     /// How progress is shown on standard error.
     ///
     /// A line of JSON every 30 frames: {"frames":30,"lost":0,"of":1083}. `of` is null where the
@@ -142,6 +149,7 @@ Examples:
   odograph run drive.mcap --height 90cm --bag-out poses.mcap -o drive/
   odograph run drive.mp4 --profile cart --markers apriltag:36h11:80mm --control hall.csv -o drive/
   odograph run drive/run.toml -o again/
+  odograph run --resume drive/
   odograph run monday.mp4 --camera camera.yaml --height 1.20 --map hall.gpkg -o monday/
   odograph run monday.mp4 tuesday.mp4 --camera camera.yaml --height 1.20 -o week/
   odograph run drive.mp4 --camera camera.yaml --height 1.20 --site http://hall:8137/ --robot cart-2
@@ -150,6 +158,34 @@ Ends with 0 when done, 2 on wrong usage, 3 on bad input, 4 when the movement cou
 recording, 130 when interrupted by Ctrl-C (what there is has been written in both cases).";
 
 impl RunArguments {
+    /// The source; empty where a killed run is run again.
+    fn source(&self) -> &str {
+        self.source.as_deref().unwrap_or_default()
+    }
+
+    /// The killed run in a folder, from its first frame.
+    fn resumed(&self, folder: &Path) -> Result<RunBuilder> {
+        let given = [
+            ("--map", self.output.map.is_some()),
+            ("--bag-out", self.bag_out.is_some()),
+            ("--site", self.site.site.is_some()),
+            ("--robot", self.site.robot.is_some()),
+            ("--force", self.output.force),
+        ];
+        let given = self.settings().into_iter().chain(given).find(|(_, given)| *given);
+        if let Some((option, _)) = given {
+            return Err(Error::usage(format!(
+                "--resume runs what was begun in {} as it was begun; leave {option} away",
+                folder.display()
+            )));
+        }
+        let run = RunBuilder::resuming(folder)?.reporter(HtmlReporter);
+        Ok(match self.output.threads {
+            Some(threads) => run.threads(usize::from(threads)),
+            None => run,
+        })
+    }
+
     /// The run with these options, over `source` into `folder`.
     fn builder(&self, source: &str, folder: &Path) -> Result<RunBuilder> {
         let run = if source.ends_with(".toml") {
@@ -194,8 +230,18 @@ impl RunArguments {
 
     /// Fails where an option contradicts the `run.toml` of an earlier run.
     fn check_repeated(&self, run_toml: &str) -> Result<()> {
+        match self.settings().iter().find(|(_, given)| *given) {
+            Some((option, _)) => Err(Error::usage(format!(
+                "{run_toml} already says everything about the run; leave {option} away, or change the file"
+            ))),
+            None => Ok(()),
+        }
+    }
+
+    /// The options that determine the results, and whether they are given.
+    fn settings(&self) -> [(&'static str, bool); 31] {
         let setup = &self.mounted.setup;
-        let given = [
+        [
             ("--profile", self.mounted.chosen.profile.is_some()),
             ("--camera", setup.camera.is_some()),
             ("--field-of-view", setup.field_of_view.is_some()),
@@ -227,26 +273,29 @@ impl RunArguments {
             ("--control", self.control.is_some()),
             ("--no-loops", self.no_loops),
             ("--reference", self.reference.is_some()),
-        ];
-        match given.iter().find(|(_, given)| *given) {
-            Some((option, _)) => Err(Error::usage(format!(
-                "{run_toml} already says everything about the run; leave {option} away, or change the file"
-            ))),
-            None => Ok(()),
-        }
+        ]
     }
 }
 
 /// Runs the command.
 pub fn run(arguments: RunArguments) -> Result<Outcome> {
-    let arguments = match arguments.source.ends_with(".toml") {
+    if let Some(folder) = &arguments.resume {
+        let builder = arguments.resumed(folder)?;
+        let print_begin = || {
+            if !arguments.output.quiet {
+                console::note(&format!("the run in {} begins again at its first frame", folder.display()));
+            }
+        };
+        return follow(&builder, &arguments, folder, &print_begin);
+    }
+    let arguments = match arguments.source().ends_with(".toml") {
         true => arguments,
         false => RunArguments { mounted: arguments.mounted.with_profile()?, ..arguments },
     };
     let recordings = many::recordings(&arguments)?;
     let folder = match &arguments.folder {
         Some(folder) => folder.clone(),
-        None => default_folder(&arguments.source, recordings.is_some()),
+        None => default_folder(arguments.source(), recordings.is_some()),
     };
     let quiet = arguments.output.quiet;
     let print_folder = || {
@@ -258,11 +307,22 @@ pub fn run(arguments: RunArguments) -> Result<Outcome> {
         print_folder();
         return many::run(&recordings, &arguments, &folder);
     }
-    let builder = arguments.builder(&arguments.source, &folder)?;
+    let builder = arguments.builder(arguments.source(), &folder)?;
     arguments.mounted.setup.question(quiet);
+    follow(&builder, &arguments, &folder, &print_folder)
+}
+
+/// Follows one recording; `opened` is called when nothing stands against that any more.
+fn follow(
+    builder: &RunBuilder,
+    arguments: &RunArguments,
+    folder: &Path,
+    opened: &dyn Fn(),
+) -> Result<Outcome> {
+    let quiet = arguments.output.quiet;
     let observer = ConsoleObserver::new(quiet).with_progress(arguments.progress).with_log(arguments.log);
     let run = builder.open(&observer)?;
-    print_folder();
+    opened();
     observer.log_plan(run.plan(), run.source());
     let outcome = run.follow(&observer)?;
     observer.log_times(&outcome.statistics);
@@ -273,8 +333,8 @@ pub fn run(arguments: RunArguments) -> Result<Outcome> {
              measures the lens",
         );
     }
-    let map = arguments.output.map.clone().unwrap_or_else(|| folder.join("map.gpkg"));
-    if let Some(link) = arguments.site.start(&map, &folder, quiet)? {
+    let map = builder.map_file().map_or_else(|| folder.join("map.gpkg"), Path::to_owned);
+    if let Some(link) = arguments.site.start(&map, folder, quiet)? {
         link.finish(quiet);
     }
     Ok(outcome.end.into())

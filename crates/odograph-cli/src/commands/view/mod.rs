@@ -3,12 +3,12 @@
 pub(super) mod map;
 
 use super::live::{Offer, ServeArguments, Serving};
-use crate::{Outcome, files};
+use crate::{Outcome, console, files};
 use odograph::error::{Error, Result};
 use odograph::geometry::Placement;
 use odograph::mosaic::Mosaic;
 use odograph_live::{GroundPicture, Hub, Introduction, Mark, Phase, Status, TiledGround, TrackRecord};
-use odograph_session::RunPlan;
+use odograph_session::{RunPlan, UnfinishedRun};
 use std::fs::File;
 use std::io::BufReader;
 use std::path::{Path, PathBuf};
@@ -45,6 +45,10 @@ pub fn view(arguments: ViewArguments) -> Result<Outcome> {
     } else {
         serve_run(&arguments.folder, &serve)?
     };
+    if let Some(unfinished) = UnfinishedRun::in_folder(&arguments.folder).filter(|_| !arguments.quiet) {
+        let shown = arguments.folder.display();
+        console::note(&format!("{shown} {}", unfinished.description(&arguments.folder)));
+    }
     if !arguments.quiet {
         serving.print_address(" (Ctrl-C ends)");
     }
@@ -122,7 +126,8 @@ fn show(serving: &Serving, records: &[TrackRecord], marks: Vec<Mark>) {
 fn records(folder: &Path) -> Result<Vec<TrackRecord>> {
     let table = folder.join("trajectory.csv");
     // A run that was killed has left what it had.
-    let table = if table.is_file() { table } else { files::beside(&table) };
+    let growing = files::beside(&table);
+    let table = if growing.metadata().is_ok_and(|file| file.len() > 0) { growing } else { table };
     if !table.is_file() {
         let shown = folder.display();
         return Err(Error::input(match folder.exists() {

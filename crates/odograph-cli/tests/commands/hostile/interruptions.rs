@@ -64,7 +64,11 @@ fn a_killed_run_leaves_the_frames_so_far() {
     // That map is not overwritten without `--force`, but it can be continued. With `--force` the
     // folder is replaced.
     fs::write(place.path("drive.y4m"), y4m(6)).unwrap();
-    let message = "out has a run that did not end; odograph view out shows what it has, and --force";
+    let frames = text.lines().count() - 1;
+    let message = &format!(
+        "out has a run that did not end; {frames} frames are on disk, {frames} with a pose; odograph view out shows \
+         what it has, and --force"
+    );
     assert_refused(&place.run_usual("drive.y4m"), 2, message, "a second run");
     fs::rename(place.path("out/map.gpkg"), place.path("kept.gpkg")).unwrap();
     for log in ["-shm", "-wal"] {
@@ -92,6 +96,85 @@ fn a_killed_run_leaves_the_frames_so_far() {
     let done = place.run("drive.y4m --camera camera.yaml --height 1 -o out --force");
     assert!(done.status.success(), "{}", String::from_utf8_lossy(&done.stderr));
     assert_whole(&place.path("out"));
+}
+
+/// Starts a run over `drive.y4m`, and kills it when a block of frames is on disk.
+fn kill(place: &HostileFolder, arguments: &str) {
+    let mut command = place.command(&format!("drive.y4m --camera camera.yaml --height 1 -o out {arguments}"));
+    let mut child = command.stdout(Stdio::null()).stderr(Stdio::null()).spawn().unwrap();
+    let part = place.path("out/trajectory.csv.part");
+    while fs::metadata(&part).map_or(0, |metadata| metadata.len()) == 0 {
+        assert!(child.try_wait().unwrap().is_none(), "it ended before it was killed");
+        std::thread::sleep(Duration::from_millis(1));
+    }
+    child.kill().unwrap();
+    child.wait().unwrap();
+}
+
+#[test]
+fn a_killed_run_is_run_again_in_its_folder() {
+    let place = HostileFolder::new();
+    fs::write(place.path("drive.y4m"), y4m(150)).unwrap();
+    let usual = "drive.y4m --camera camera.yaml --height 1";
+    assert!(place.run(&format!("{usual} -o whole -q")).status.success());
+    kill(&place, "");
+    let message = "odograph run --resume out runs it again, to its end; odograph view out shows what it has";
+    assert_refused(&place.run(&format!("{usual} -o out")), 2, message, "a second run");
+    let away = "--resume runs what was begun in out as it was begun; leave --height away";
+    assert_refused(&place.run("--resume out --height 2"), 2, away, "another height");
+    let done = place.run("--resume out -q");
+    assert!(done.status.success(), "{}", String::from_utf8_lossy(&done.stderr));
+    assert_whole(&place.path("out"));
+    for name in ["trajectory.csv", "trajectory.tum", "run.toml"] {
+        assert!(place.result("out", name) == place.result("whole", name), "{name}");
+    }
+    assert_refused(&place.run("--resume out"), 2, "out has a run that is complete", "a complete run");
+    assert_refused(&place.run("--resume none"), 2, "none is not the folder of a run", "no folder");
+    fs::create_dir(place.path("empty")).unwrap();
+    assert_refused(&place.run("--resume empty"), 2, "empty has no run that was begun", "no run");
+}
+
+#[test]
+fn a_run_again_replaces_its_half_in_the_map() {
+    let place = HostileFolder::new();
+    fs::write(place.path("drive.y4m"), y4m(150)).unwrap();
+    let sessions = || {
+        let info = Command::new(env!("CARGO_BIN_EXE_odograph"))
+            .args(["map", "info", "hall.gpkg"])
+            .current_dir(place.path(""))
+            .output()
+            .unwrap();
+        let text = String::from_utf8(info.stdout).unwrap();
+        text.lines().filter(|line| line.starts_with("session ")).count()
+    };
+    fs::create_dir(place.path("elsewhere")).unwrap();
+    // First into a new map, then into the map that this has made.
+    for count in [1, 2] {
+        kill(&place, "--map hall.gpkg --force");
+        assert_eq!(sessions(), count);
+        // From another folder, from which the recording has another name.
+        let mut command = place.command("--resume ../out -q");
+        let done = command.current_dir(place.path("elsewhere")).output().unwrap();
+        assert!(done.status.success(), "{}", String::from_utf8_lossy(&done.stderr));
+        assert_eq!(sessions(), count, "the killed one is not beside it");
+    }
+    kill(&place, "--map hall.gpkg --force");
+    assert!(place.run("drive.y4m -o other --map hall.gpkg -q").status.success());
+    let message = "hall.gpkg has been continued since this run was killed";
+    assert_refused(&place.run("--resume out"), 3, message, "a map that others have continued");
+}
+
+#[test]
+fn a_run_that_goes_on_is_not_run_again() {
+    let place = HostileFolder::new();
+    let mut child = begun(&place, "");
+    for arguments in ["--resume out", "drive.y4m --camera camera.yaml --height 1 -o out"] {
+        assert_refused(&place.run(arguments), 2, "out has a run that goes on", arguments);
+    }
+    child.kill().unwrap();
+    child.wait().unwrap();
+    let message = "out does not say how its run began";
+    assert_refused(&place.run("--resume out"), 2, message, "standard input");
 }
 
 #[test]

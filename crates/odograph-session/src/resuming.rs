@@ -1,0 +1,53 @@
+//! Runs that begin again where they were killed.
+
+use crate::begun_run::{BegunRun, begun_file};
+use crate::builder::RunBuilder;
+use crate::half_session::HalfSession;
+use crate::output::MapUse;
+use crate::unfinished::UnfinishedRun;
+use odograph::error::{Error, Result};
+use std::path::Path;
+use std::sync::Arc;
+
+impl RunBuilder {
+    /// The run that has begun in a folder and did not end, from its first frame and into the same
+    /// folder, whose content it replaces.
+    ///
+    /// # Errors
+    /// If the run in the folder is complete or goes on, or if the folder does not say what was run.
+    pub fn resuming(folder: impl AsRef<Path>) -> Result<Self> {
+        let folder = folder.as_ref();
+        let refused = |why: &str| Error::usage(format!("{} {why}", folder.display()));
+        if !folder.is_dir() {
+            return Err(refused("is not the folder of a run"));
+        }
+        let Some(unfinished) = UnfinishedRun::in_folder(folder) else {
+            return Err(refused(if folder.join("stats.json").exists() {
+                "has a run that is complete; odograph run FOLDER/run.toml repeats it into another folder"
+            } else {
+                "has no run that was begun; give the folder of a run that was killed"
+            }));
+        };
+        if unfinished.goes_on {
+            return Err(refused("has a run that goes on; wait until that has ended"));
+        }
+        if !begun_file(folder).is_file() {
+            return Err(refused(
+                "does not say how its run began (a live run, and one over standard input, cannot be run again); \
+                 odograph view shows what it has",
+            ));
+        }
+        let BegunRun { map, session, source, robot, bag, plan } = BegunRun::read(folder)?;
+        let mut run = Self::over(plan.source.clone()).folder(folder).overwriting(true);
+        if let Some(map) = map {
+            let half = HalfSession { session, source };
+            half.is_in(&map)?;
+            run.output.half_session = Some(half);
+            run.output.map = MapUse::Continue(map);
+        }
+        run.output.robot = robot;
+        run.output.bag = bag;
+        run.resumed = Some(Arc::new(plan));
+        Ok(run)
+    }
+}
