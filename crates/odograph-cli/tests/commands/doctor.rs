@@ -131,6 +131,20 @@ fn a_camera_file_that_is_missing_or_of_another_size_is_a_finding() {
 }
 
 #[test]
+fn without_a_camera_file_the_motion_is_that_of_the_image() {
+    let clip = Clip::new(&["--path", "lanes", "--speed", "0.8", "--roll", "5", "--duration", "5"]);
+    let (camera, rig) = (clip.path("camera.yaml"), clip.path("rig.toml"));
+    let (known, unknown) = (clip.doctor_with(&["--camera", &camera, "--rig", &rig]), clip.doctor_with(&[]));
+    for diagnosis in [&known, &unknown] {
+        assert_eq!(diagnosis.finding("tracking")["value"], 0.0, "{:#}", diagnosis.json);
+    }
+    let overlap = |diagnosis: &Diagnosis| diagnosis.finding("overlap")["value"].as_f64().unwrap();
+    assert!((overlap(&known) - overlap(&unknown)).abs() < 2.0, "{:#}", unknown.json);
+    let shutter = unknown.finding("shutter")["measured"].as_str().unwrap();
+    assert!(shutter.contains("the readout time is not known"), "{shutter}");
+}
+
+#[test]
 fn light_that_is_too_strong_or_too_weak_is_a_finding() {
     let scaled = |by: f64, add: f64| {
         move |frames: Vec<Vec<u8>>| -> Vec<Vec<u8>> {
