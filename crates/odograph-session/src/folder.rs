@@ -247,7 +247,16 @@ impl OutputFolder {
         // much of its last second as fits.
         let _ = self.flush();
         let (whole, path) = (self.path.join("trajectory.csv.new"), self.path.join("trajectory.csv"));
-        write_lines(&whole, FRAMES_HEADER, |put| frames.each(|frame, _| put(&frame_line(&of.frame(frame)))))?;
+        let mut write = || {
+            write_lines(&whole, FRAMES_HEADER, |put| {
+                frames.each(|frame, _| put(&frame_line(&of.frame(frame))))
+            })
+        };
+        if write().is_err() {
+            // On a full disk the path is worth more than what runs it again.
+            begun_run::end(&self.path);
+            write()?;
+        }
         fs::rename(&whole, &path).map_err(|error| files::cannot_be_written(&path, error))?;
         let _ = fs::remove_file(files::beside(&path));
         self.is_written(path);
