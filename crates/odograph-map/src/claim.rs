@@ -60,7 +60,8 @@ impl MapClaim {
         }
     }
 
-    /// Whether another program, or another part of this one, writes the map. Leaves nothing beside it.
+    /// Whether another program, or another part of this one, writes the map. Leaves nothing beside
+    /// it.
     pub fn is_held(map: &Path) -> bool {
         let lock = File::open(with_ending(&resolved(map), ".lock"));
         lock.is_ok_and(|lock| matches!(lock.try_lock_shared(), Err(TryLockError::WouldBlock)))

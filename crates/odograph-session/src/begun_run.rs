@@ -1,8 +1,8 @@
 //! What is run, written down while it runs, so that a killed run can be run again.
 //!
 //! From its first frame to its last file a run keeps `run.toml.part` in its folder: its plan as it
-//! began, and which map it continues. A run is deterministic: from its first frame on it gives again
-//! what the killed run would have given.
+//! began, and which map it continues. A run is deterministic: from its first frame on it gives
+//! again what the killed run would have given.
 
 use crate::files;
 use crate::output::RunOutput;
@@ -34,8 +34,8 @@ pub(crate) fn begun_file(folder: &Path) -> PathBuf {
     files::beside(&folder.join("run.toml"))
 }
 
-/// Writes down that a run begins. Nothing is written of a run that cannot be run again: over standard
-/// input, a pipe or a stream.
+/// Writes down that a run begins. Nothing is written of a run that cannot be run again: over
+/// standard input, a pipe or a stream.
 pub(crate) fn begin(folder: &Path, plan: &RunPlan, output: &RunOutput) -> Result<()> {
     let source = Path::new(&plan.source.path);
     if output.folder.is_none() || output.map.is_read_only() || !(source.is_file() || source.is_dir()) {

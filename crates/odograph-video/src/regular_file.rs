@@ -8,8 +8,8 @@ use std::path::Path;
 /// The bytes of a regular file of at most `most` bytes.
 ///
 /// # Errors
-/// As [`check_regular_file`]; if the file cannot be read, or is larger ([`ErrorKind::FileTooLarge`]).
-/// The error does not name the file.
+/// As [`check_regular_file`]; if the file cannot be read, or is larger
+/// ([`ErrorKind::FileTooLarge`]). The error does not name the file.
 pub fn read_regular_file(path: &Path, most: u64) -> io::Result<Vec<u8>> {
     let too_large = || io::Error::new(ErrorKind::FileTooLarge, format!("it has more than {most} bytes"));
     if check_regular_file(path)? > most {

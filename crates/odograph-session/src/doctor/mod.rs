@@ -71,8 +71,8 @@ impl RunBuilder {
         let may_begin_again =
             std::fs::metadata(&plan.source.path).is_ok_and(|there| there.is_file() || there.is_dir());
         let mut looked_at = Looked::new(size, &plan, given.clone());
-        // Begins again as a run does: frames that were lost until a pattern that the camera adds, or
-        // another mount or lens was known are not lost.
+        // Begins again as a run does: frames that were lost until a pattern that the camera adds,
+        // or another mount or lens was known are not lost.
         let mut known = plan.clone();
         known.correction = looked_at.look(&stretches, &mut source, &plan, may_begin_again, observer)?;
         if known.correction.is_some() {
@@ -178,8 +178,8 @@ impl Looked {
         Ok(true)
     }
 
-    /// Looks at consecutive frames, at most until a pattern is known that may end that. Returns false
-    /// at the end of the recording.
+    /// Looks at consecutive frames, at most until a pattern is known that may end that. Returns
+    /// false at the end of the recording.
     fn follow_to(
         &mut self,
         end: u64,

@@ -94,8 +94,8 @@ impl ImageCorrection {
         Ok(Self { source: camera.clone(), corrected, remap })
     }
 
-    /// The pinhole camera of the rectified images. Its readout time is that of a global shutter where
-    /// the source has one, and unknown otherwise.
+    /// The pinhole camera of the rectified images. Its readout time is that of a global shutter
+    /// where the source has one, and unknown otherwise.
     pub fn camera(&self) -> &Camera {
         &self.corrected
     }
