@@ -65,6 +65,20 @@ pub(crate) fn begin(folder: &Path, plan: &RunPlan, output: &RunOutput) -> Result
     std::fs::write(&path, text).map_err(|error| files::cannot_be_written(&path, error))
 }
 
+/// Removes what [`begin`] has written, for a while, and returns it.
+pub(crate) fn take(folder: &Path) -> Option<String> {
+    let text = files::read_text(&begun_file(folder)).ok();
+    end(folder);
+    text
+}
+
+/// Writes it again. A failure is ignored: the path is on disk.
+pub(crate) fn put_back(folder: &Path, text: Option<String>) {
+    if let Some(text) = text {
+        let _ = std::fs::write(begun_file(folder), text);
+    }
+}
+
 /// Removes what [`begin`] has written.
 pub(crate) fn end(folder: &Path) {
     let _ = std::fs::remove_file(begun_file(folder));

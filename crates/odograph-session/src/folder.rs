@@ -247,16 +247,9 @@ impl OutputFolder {
         // much of its last second as fits.
         let _ = self.flush();
         let (whole, path) = (self.path.join("trajectory.csv.new"), self.path.join("trajectory.csv"));
-        let mut write = || {
-            write_lines(&whole, FRAMES_HEADER, |put| {
-                frames.each(|frame, _| put(&frame_line(&of.frame(frame))))
-            })
-        };
-        if write().is_err() {
-            // On a full disk the path is worth more than what runs it again.
-            begun_run::end(&self.path);
-            write()?;
-        }
+        // On a full disk the path is worth more than what runs it again.
+        let begun = begun_run::take(&self.path);
+        write_lines(&whole, FRAMES_HEADER, |put| frames.each(|frame, _| put(&frame_line(&of.frame(frame)))))?;
         fs::rename(&whole, &path).map_err(|error| files::cannot_be_written(&path, error))?;
         let _ = fs::remove_file(files::beside(&path));
         self.is_written(path);
@@ -264,7 +257,9 @@ impl OutputFolder {
         self.write_tum("trajectory.tum", of.last(), |put| {
             frames.each(|frame, _| of.stamped(frame).as_ref().map_or(Ok(()), &mut *put))
         })?;
-        self.write("run.toml", run_toml.as_bytes())
+        self.write("run.toml", run_toml.as_bytes())?;
+        begun_run::put_back(&self.path, begun);
+        Ok(())
     }
 
     /// Writes the statistics, the last file: if it exists the output is complete.
