@@ -15,7 +15,7 @@ use odograph_session::{ComparedReference, ReportInput};
 use std::fmt::Write;
 
 /// Maximum number of rows in the table of losses; further ones are only counted.
-const MOST_ROWS: usize = 100;
+const MAX_ROWS: usize = 100;
 
 /// The report as one HTML file without external references.
 pub fn html(input: &ReportInput<'_>) -> String {
@@ -212,7 +212,7 @@ fn doubts(frames: &[FrameSummary], figures: &RunFigures, page: &mut String) {
         page.push_str(
             "<div class=\"box scroll\"><table><tr><th>Lost</th><th>for</th><th>because</th></tr>\n",
         );
-        for stretch in figures.lost.iter().take(MOST_ROWS) {
+        for stretch in figures.lost.iter().take(MAX_ROWS) {
             let _ = writeln!(
                 page,
                 "<tr><td class=\"time\">{:.2} – {:.2} s</td><td>{}, {} {}</td><td>{}</td></tr>",
@@ -225,8 +225,8 @@ fn doubts(frames: &[FrameSummary], figures: &RunFigures, page: &mut String) {
             );
         }
         page.push_str("</table></div>\n");
-        if figures.lost.len() > MOST_ROWS {
-            let _ = writeln!(page, "<p>And {} stretches more.</p>", figures.lost.len() - MOST_ROWS);
+        if figures.lost.len() > MAX_ROWS {
+            let _ = writeln!(page, "<p>And {} stretches more.</p>", figures.lost.len() - MAX_ROWS);
         }
     }
     if weak.is_empty() {

@@ -4,7 +4,7 @@ use crate::fleet_map::FleetMap;
 use crate::protocol::{RobotState, SessionDescription, SiteStatus};
 use crate::published::Published;
 use crate::record::Record;
-use crate::records::{NotStored, Records, StoredSession};
+use crate::records::{NotStored, RecordStore, StoredSession};
 use odograph::error::{Error, ErrorKind, Result};
 use odograph::slam::SessionScale;
 use odograph_map::{MapClaim, MapFile, SessionOrigin};
@@ -17,20 +17,24 @@ use std::sync::{Arc, Condvar, Mutex, MutexGuard, PoisonError};
 use std::thread::{self, JoinHandle};
 use std::time::{Duration, Instant};
 
-/// Most records that are merged before their effect is published.
+/// Maximum number of records merged before their effect is published: more merge faster, fewer are
+/// seen sooner.
 const AT_ONCE: usize = 16;
-/// Time between two publications while records are merged.
+/// Interval between two publications while records are merged.
 const PUBLISHED_EVERY: Duration = Duration::from_millis(500);
 /// Pause without records after which the map is optimised and written.
 const SETTLED_AFTER: Duration = Duration::from_secs(1);
-/// Pause after which it is seen whether the mosaic is due.
+/// Interval of checks whether the mosaic is due, while no records arrive.
 const IDLE: Duration = Duration::from_secs(5);
-/// Shortest time between two renderings of the mosaic, and between them in durations of the last.
+/// Shortest interval between two renderings of the mosaic, and the pause after one in multiples of
+/// its duration: at most a tenth of a core is spent on the mosaic.
 const RENDERED_EVERY: Duration = Duration::from_secs(20);
 const RENDERING_REST: u32 = 9;
-/// Difference of scale from that of the map that is tolerated: a height is measured no better.
+/// Relative difference of a robot's scale from the map's that is tolerated: about what a height
+/// measured with a tape is exact to.
 const TOLERATED_SCALE: f64 = 0.01;
-/// A difference of scale counts if it is this many standard deviations.
+/// A difference of scale is reported if it exceeds this many of its standard deviations: by chance
+/// one in sixteen thousand does.
 const CERTAIN: f64 = 4.0;
 
 /// One map and its robots. The map is merged in a thread of its own, which ends when the site is
@@ -38,7 +42,7 @@ const CERTAIN: f64 = 4.0;
 #[derive(Debug)]
 pub struct Site {
     folder: PathBuf,
-    records: Mutex<Records>,
+    records: Mutex<RecordStore>,
     shared: Arc<SiteState>,
     merger: Mutex<Option<JoinHandle<()>>>,
 }
@@ -63,7 +67,7 @@ struct Work {
 
 /// Why a request of a robot is refused.
 #[derive(Debug)]
-pub enum Refused {
+pub enum RequestRefusal {
     /// What it sent is not acceptable.
     Malformed(Error),
     /// Its records do not follow the last one, or contradict what is stored.
@@ -80,9 +84,9 @@ impl Site {
             .map_err(|error| Error::output(format!("{} cannot be made: {error}", folder.display())))?;
         let claim = MapClaim::on(&folder.join("map.gpkg"))?;
         let path = folder.join("records.sqlite");
-        let records = Records::open(&path)?;
+        let records = RecordStore::open(&path)?;
         let mut merger = Merger {
-            records: Records::open(&path)?,
+            records: RecordStore::open(&path)?,
             map: FleetMap::open(&claim)?,
             claim,
             sessions: BTreeMap::new(),
@@ -118,10 +122,10 @@ impl Site {
     pub(crate) fn describe(
         &self,
         description: SessionDescription,
-    ) -> std::result::Result<SiteStatus, Refused> {
-        let description = description.validated().map_err(Refused::Malformed)?;
-        let failed = |error| Refused::NotStored(NotStored::Failed(error));
-        let origin = description.origin().map_err(Refused::Malformed)?;
+    ) -> std::result::Result<SiteStatus, RequestRefusal> {
+        let description = description.validated().map_err(RequestRefusal::Malformed)?;
+        let failed = |error| RequestRefusal::NotStored(NotStored::Failed(error));
+        let origin = description.origin().map_err(RequestRefusal::Malformed)?;
         let stored = {
             let mut records = self.lock_records();
             let stored = records.describe(&description).map_err(failed)?;
@@ -137,21 +141,21 @@ impl Site {
         origin: &SessionOrigin,
         body: &[u8],
         lost: bool,
-    ) -> std::result::Result<SiteStatus, Refused> {
-        let failed = |error| Refused::NotStored(NotStored::Failed(error));
+    ) -> std::result::Result<SiteStatus, RequestRefusal> {
+        let failed = |error| RequestRefusal::NotStored(NotStored::Failed(error));
         let Some(stored) = self.lock_records().session(origin).map_err(failed)? else {
-            return Err(Refused::NotStored(NotStored::Unknown));
+            return Err(RequestRefusal::NotStored(NotStored::Unknown));
         };
-        let parts = Record::split(body).map_err(Refused::Malformed)?;
+        let parts = Record::split(body).map_err(RequestRefusal::Malformed)?;
         let mut records = Vec::with_capacity(parts.len());
         let camera = &stored.description.camera;
         for bytes in parts {
-            let record = Record::from_bytes(bytes).map_err(Refused::Malformed)?;
+            let record = Record::from_bytes(bytes).map_err(RequestRefusal::Malformed)?;
             if let Some(image) = &record.image {
                 // An image that cannot be decoded would otherwise be found out after it was
                 // acknowledged.
                 image.decode((camera.width(), camera.height())).map_err(|why| {
-                    Refused::Malformed(Error::input(format!(
+                    RequestRefusal::Malformed(Error::input(format!(
                         "the image of keyframe {} {why}",
                         record.head.number
                     )))
@@ -161,7 +165,7 @@ impl Site {
         }
         let (last, stored) = {
             let mut store = self.lock_records();
-            store.append(stored.id, &records).map_err(Refused::NotStored)?;
+            store.append(stored.id, &records).map_err(RequestRefusal::NotStored)?;
             let stored = store.session(origin).map_err(failed)?.unwrap_or(stored);
             (store.last(stored.id).map_err(failed)?, stored)
         };
@@ -177,7 +181,7 @@ impl Site {
         SiteStatus { acknowledged: last, ended: stored.ended, ..status }
     }
 
-    /// Takes the records of a robot out of the map, or puts them in again. Returns whether there is
+    /// Removes the records of a robot from the map, or adds them again. Returns whether there is
     /// such a robot.
     ///
     /// # Errors
@@ -231,7 +235,7 @@ impl Site {
         drop(self.shared.changed.wait_while(work, unsettled));
     }
 
-    fn lock_records(&self) -> MutexGuard<'_, Records> {
+    fn lock_records(&self) -> MutexGuard<'_, RecordStore> {
         self.records.lock().unwrap_or_else(PoisonError::into_inner)
     }
 }
@@ -275,7 +279,7 @@ impl SiteState {
         taken
     }
 
-    /// Notes that nothing is left to do but what may have been asked for meanwhile.
+    /// Marks all work as done, except what was requested meanwhile.
     fn set_settled(&self) {
         self.tell(|work| work.settled = true);
     }
@@ -283,7 +287,7 @@ impl SiteState {
 
 /// Merges records into the map.
 struct Merger {
-    records: Records,
+    records: RecordStore,
     map: Option<FleetMap>,
     claim: MapClaim,
     sessions: BTreeMap<i64, StoredSession>,
@@ -405,7 +409,7 @@ impl Merger {
         Ok(self.sessions.get(&id))
     }
 
-    /// Takes a robot out of the map whose metres are not those of the map. Returns whether there
+    /// Removes a robot from the map whose scale differs from the map's. Returns whether there
     /// was one.
     fn quarantine_doubtful(&mut self) -> Result<bool> {
         let Some(map) = &self.map else { return Ok(false) };

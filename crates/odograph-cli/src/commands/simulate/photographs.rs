@@ -10,15 +10,15 @@ use zune_jpeg::zune_core::colorspace::ColorSpace;
 use zune_jpeg::zune_core::options::DecoderOptions;
 
 /// Photographs of more pixels than this are refused: they would need gigabytes.
-const MOST_PIXELS: u64 = 100_000_000;
+const MAX_PIXELS: u64 = 100_000_000;
 
 /// Largest size of a photograph's file, bytes.
-const MOST_BYTES: u64 = 512 << 20;
+const MAX_BYTES: u64 = 512 << 20;
 
 /// Reads a photograph. The error names the file and, if it does not exist, the named textures.
 pub fn read(name: &str) -> Result<RgbImage> {
     let mut bytes = Vec::new();
-    let read = File::open(name).and_then(|file| file.take(MOST_BYTES + 1).read_to_end(&mut bytes));
+    let read = File::open(name).and_then(|file| file.take(MAX_BYTES + 1).read_to_end(&mut bytes));
     read.map_err(|error| {
         if name.contains(['.', '/', '\\']) {
             return Error::input(format!("{name} cannot be read: {error}"));
@@ -29,8 +29,8 @@ pub fn read(name: &str) -> Result<RgbImage> {
             names.join(", ")
         ))
     })?;
-    if bytes.len() as u64 > MOST_BYTES {
-        return Err(Error::input(format!("{name} is larger than {} MiB", MOST_BYTES >> 20)));
+    if bytes.len() as u64 > MAX_BYTES {
+        return Err(Error::input(format!("{name} is larger than {} MiB", MAX_BYTES >> 20)));
     }
     let image = if bytes.starts_with(b"\x89PNG") {
         png(&bytes)
@@ -79,7 +79,7 @@ fn jpeg(bytes: &[u8]) -> std::result::Result<RgbImage, String> {
 }
 
 fn checked_size(width: u64, height: u64) -> std::result::Result<(), String> {
-    if width.saturating_mul(height) > MOST_PIXELS {
+    if width.saturating_mul(height) > MAX_PIXELS {
         return Err(format!("{width}x{height} pixels are too many; reduce it"));
     }
     Ok(())

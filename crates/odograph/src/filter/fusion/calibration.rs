@@ -1,7 +1,7 @@
 //! Calibration of a sensor against the camera (clock offset, scale, bias, mounting, noise), and its
 //! acceptance.
 
-use super::camera_motion::{MeasuredFrame, Step};
+use super::camera_motion::{MeasuredFrame, MotionStep};
 use super::fit::{Fit, ObservationRow, ParameterPrior, TimeOffset, fit, time_offset};
 use super::rejection::Reason;
 use super::series::{Quantity, SensorRecord};
@@ -28,13 +28,13 @@ pub struct Calibrated {
 }
 
 /// Maximum number of observations; more do not improve the estimate.
-const MOST_ROWS: usize = 5000;
+const MAX_ROWS: usize = 5000;
 
 /// Gate on the normalised innovation squared: the 99.9 % quantile of χ² with one degree of freedom.
 pub const CONSISTENT_NIS: f64 = 10.83;
 
 /// Largest fraction of seconds with a contradiction for a sensor to be accepted.
-pub const MOST_CONTRADICTIONS: f64 = 0.2;
+pub const MAX_CONTRADICTIONS: f64 = 0.2;
 
 /// Largest accepted noise of a gyroscope over one second, radians: ten times that of the cheapest
 /// one.
@@ -46,20 +46,20 @@ const WORST_WAY_SHARE: f64 = 0.1;
 
 /// Least excitation: total rotation of the camera to determine the axes of a gyroscope, radians,
 /// and total translation to determine the scale of a wheel, metres.
-const LEAST_TURN_RAD: f64 = 0.3;
-const LEAST_WAY_M: f64 = 0.3;
+const MIN_TURN_RAD: f64 = 0.3;
+const MIN_WAY_M: f64 = 0.3;
 
 /// Least temporal overlap of sensor and camera, seconds.
-const LEAST_S: f64 = 2.0;
+const MIN_S: f64 = 2.0;
 
-fn thinned(steps: &[Step]) -> Vec<Step> {
-    steps.iter().step_by(steps.len().div_ceil(MOST_ROWS).max(1)).copied().collect()
+fn thinned(steps: &[MotionStep]) -> Vec<MotionStep> {
+    steps.iter().step_by(steps.len().div_ceil(MAX_ROWS).max(1)).copied().collect()
 }
 
 /// Calibrates a gyroscope against the camera's heading changes.
-pub fn gyro(record: &SensorRecord, steps: &[Step]) -> Result<Calibrated, Reason> {
+pub fn gyro(record: &SensorRecord, steps: &[MotionStep]) -> Result<Calibrated, Reason> {
     let channels = if record.quantity() == Quantity::TurnRates { 3 } else { 1 };
-    let row = |step: &Step, offset_s: f64| {
+    let row = |step: &MotionStep, offset_s: f64| {
         let mut design = Vector4::new(0.0, 0.0, 0.0, -step.duration_s());
         for channel in 0..channels {
             design[channel] = record.between(channel, step.from_s + offset_s, step.to_s + offset_s)?;
@@ -67,7 +67,7 @@ pub fn gyro(record: &SensorRecord, steps: &[Step]) -> Result<Calibrated, Reason>
         Some(ObservationRow { design, target: step.turn_rad, duration_s: step.duration_s(), second: false })
     };
     let turned_rad: f64 = steps.iter().map(|step| step.turn_rad.abs()).sum();
-    if channels == 3 && turned_rad < LEAST_TURN_RAD {
+    if channels == 3 && turned_rad < MIN_TURN_RAD {
         return Err(Reason::TooLittleTurning);
     }
     // A single axis is vertical, upright or upside down, with a scale error of a few percent; three
@@ -95,8 +95,8 @@ pub fn gyro(record: &SensorRecord, steps: &[Step]) -> Result<Calibrated, Reason>
 }
 
 /// Calibrates a wheel against the camera's translations.
-pub fn wheel(record: &SensorRecord, steps: &[Step]) -> Result<Calibrated, Reason> {
-    let rows = |step: &Step, offset_s: f64| {
+pub fn wheel(record: &SensorRecord, steps: &[MotionStep]) -> Result<Calibrated, Reason> {
+    let rows = |step: &MotionStep, offset_s: f64| {
         let way_m = record.between(0, step.from_s + offset_s, step.to_s + offset_s)?;
         let (turn, duration_s) = (step.turn_rad, step.duration_s());
         let row = |design, target, second| ObservationRow { design, target, duration_s, second };
@@ -106,12 +106,12 @@ pub fn wheel(record: &SensorRecord, steps: &[Step]) -> Result<Calibrated, Reason
         ])
     };
     let moved_m: f64 = steps.iter().map(|step| step.ahead_m.hypot(step.left_m)).sum();
-    if moved_m < LEAST_WAY_M {
+    if moved_m < MIN_WAY_M {
         return Err(Reason::TooLittleMovement);
     }
     let prior = ParameterPrior { mean: Vector4::zeros(), sigma: Vector4::new(10.0, 10.0, 0.5, 0.5) };
     let (found, seconds) = calibrated(steps, 2, &prior, rows)?;
-    let duration_s: f64 = steps.iter().map(Step::duration_s).sum();
+    let duration_s: f64 = steps.iter().map(MotionStep::duration_s).sum();
     let worst_m = WORST_WAY_M + WORST_WAY_SHARE * moved_m / duration_s;
     if found.density.sqrt() > worst_m {
         return Err(contradiction(&seconds, worst_m.powi(2)));
@@ -120,7 +120,7 @@ pub fn wheel(record: &SensorRecord, steps: &[Step]) -> Result<Calibrated, Reason
 }
 
 fn believed(found: Calibrated) -> Result<Calibrated, Reason> {
-    if found.contradictions as f64 > MOST_CONTRADICTIONS * found.seconds as f64 {
+    if found.contradictions as f64 > MAX_CONTRADICTIONS * found.seconds as f64 {
         return Err(Reason::Contradicts { seconds: found.contradictions, of: found.seconds });
     }
     Ok(found)
@@ -150,17 +150,17 @@ impl Seconds {
 /// Estimates clock offset, parameters and noise; `rows` returns `rows_per_step` observations for
 /// each step.
 fn calibrated(
-    steps: &[Step],
+    steps: &[MotionStep],
     rows_per_step: usize,
     prior: &ParameterPrior,
-    rows: impl Fn(&Step, f64) -> Option<Vec<ObservationRow>>,
+    rows: impl Fn(&MotionStep, f64) -> Option<Vec<ObservationRow>>,
 ) -> Result<(Calibrated, Vec<Seconds>), Reason> {
     let few = thinned(steps);
     let all_rows = |offset_s: f64| few.iter().filter_map(|step| rows(step, offset_s)).flatten().collect();
     let offset = time_offset(all_rows, prior, 1.0);
-    let compared: Vec<(Step, Vec<ObservationRow>)> =
+    let compared: Vec<(MotionStep, Vec<ObservationRow>)> =
         steps.iter().filter_map(|step| rows(step, offset.offset_s).map(|rows| (*step, rows))).collect();
-    if compared.iter().map(|(step, _)| step.duration_s()).sum::<f64>() < LEAST_S {
+    if compared.iter().map(|(step, _)| step.duration_s()).sum::<f64>() < MIN_S {
         return Err(Reason::NoOverlap);
     }
     let flat: Vec<ObservationRow> = compared.iter().flat_map(|(_, rows)| rows.iter().copied()).collect();
@@ -204,7 +204,7 @@ fn calibrated(
     Ok((found, (0..count).filter_map(worst).collect()))
 }
 
-fn in_seconds<'a>(residuals: impl Iterator<Item = (&'a Step, f64)>) -> Vec<Seconds> {
+fn in_seconds<'a>(residuals: impl Iterator<Item = (&'a MotionStep, f64)>) -> Vec<Seconds> {
     let mut seconds = Vec::new();
     let mut sum = Seconds { sum: 0.0, duration_s: 0.0 };
     let mut end: Option<(f64, usize)> = None;
@@ -263,7 +263,7 @@ fn sighted(
         record.between(0, from_s, to_s).map(|sum| factor(node) * sum / WINDOW_S)
     };
     let reading = |node: &MeasuredFrame, time_s: f64| record.at(0, time_s).map(|z| factor(node) * z);
-    let stride = nodes.len().div_ceil(MOST_ROWS).max(1);
+    let stride = nodes.len().div_ceil(MAX_ROWS).max(1);
     let spacing_s = match nodes {
         [first, .., last] => (last.time_s - first.time_s) / (nodes.len() - 1) as f64 * stride as f64,
         _ => WINDOW_S,
@@ -317,7 +317,7 @@ fn sighted(
         }
         start = end;
     }
-    if (sights.len() as f64) < LEAST_S {
+    if (sights.len() as f64) < MIN_S {
         return Err(Reason::NoOverlap);
     }
     // Allan variance (D. Allan, "Statistics of atomic frequency standards", 1966) over 1, 4 and 16
