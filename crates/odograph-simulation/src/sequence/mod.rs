@@ -1,11 +1,13 @@
 //! A simulated image sequence.
 
-use super::effects::{Breathing, Disturbance, Effects, Exposure, MovingDisc, MovingDiscs, row_offset_s};
+use super::applied_effects::{Disturbance, Exposure, MovingDisc, MovingDiscs, row_offset_s};
+use super::effects::{Breathing, Effects};
 use super::floor_markers::FloorMarkers;
 use super::ground::Ground;
 use super::noise::{GaussianStream, mix, uniform};
 use super::path::Path;
-use super::renderer::{Renderer, Scene};
+use super::renderer::Renderer;
+use super::scene::Scene;
 use super::sway::Swaying;
 use super::terrain::TerrainSurface;
 use super::texture::{Texture, luminance};
