@@ -196,13 +196,10 @@ impl Sending {
         if !MapFile::is_there(&self.map) {
             return Ok(());
         }
+        let failed = |error: Error| Stopped::ForNow(error.to_string());
         // The file is open only while it is read, so that its writer can close it. It may be about
         // to be replaced.
-        let open = |path: &Path| MapFile::open_read_only(path).map_err(|e| Stopped::ForNow(e.to_string()));
-        let sessions = {
-            let file = open(&self.map)?;
-            file.sessions().map_err(|error| Stopped::ForNow(error.to_string()))?
-        };
+        let sessions = MapFile::open_read_only(&self.map).and_then(|file| file.sessions()).map_err(failed)?;
         let own: Vec<_> = sessions
             .into_iter()
             .filter_map(|session| Some((session.origin?, session.id, session.source)))
@@ -216,32 +213,7 @@ impl Sending {
                 continue;
             }
             if self.current.as_ref().is_none_or(|current| current.origin != origin) {
-                let file = open(&self.map)?;
-                let mounted = match file.other_cameras().get(&session) {
-                    Some(mounted) => mounted.clone(),
-                    None => MountedCamera { camera: file.camera().clone(), rig: *file.rig() },
-                };
-                let description = SessionDescription {
-                    robot: origin.robot.clone(),
-                    key: origin.key.clone(),
-                    source,
-                    camera: mounted.camera,
-                    rig: mounted.rig,
-                };
-                let outbox =
-                    Outbox::new(&file, &origin).map_err(|error| Stopped::ForNow(error.to_string()))?;
-                drop(file);
-                let status = self.client.describe(&description).map_err(|why| self.stopped(&why))?;
-                let (last, ended) = (status.acknowledged, status.ended);
-                self.heard(status, 0);
-                self.current = Some(Current {
-                    origin: origin.clone(),
-                    outbox,
-                    last,
-                    ended,
-                    waiting: Vec::new(),
-                    is_misplaced: false,
-                });
+                self.begin(&origin, session, source)?;
             }
             while self.send_some(is_over)? {
                 if self.is_ended() {
@@ -253,6 +225,36 @@ impl Sending {
                 self.current = None;
             }
         }
+        Ok(())
+    }
+
+    /// Describes a session to the site and makes it the current one.
+    fn begin(
+        &mut self,
+        origin: &SessionOrigin,
+        session: u32,
+        source: String,
+    ) -> std::result::Result<(), Stopped> {
+        let failed = |error: Error| Stopped::ForNow(error.to_string());
+        let file = MapFile::open_read_only(&self.map).map_err(failed)?;
+        let mounted = match file.other_cameras().get(&session) {
+            Some(mounted) => mounted.clone(),
+            None => MountedCamera { camera: file.camera().clone(), rig: *file.rig() },
+        };
+        let description = SessionDescription {
+            robot: origin.robot.clone(),
+            key: origin.key.clone(),
+            source,
+            camera: mounted.camera,
+            rig: mounted.rig,
+        };
+        let outbox = Outbox::new(&file, origin).map_err(failed)?;
+        drop(file);
+        let status = self.client.describe(&description).map_err(|why| self.stopped(&why))?;
+        let (last, ended) = (status.acknowledged, status.ended);
+        self.heard(status, 0);
+        let (waiting, is_misplaced) = (Vec::new(), false);
+        self.current = Some(Current { origin: origin.clone(), outbox, last, ended, waiting, is_misplaced });
         Ok(())
     }
 
