@@ -1,6 +1,6 @@
 use super::*;
 use crate::geometry::GroundPose;
-use crate::trajectory::{LossReason, PlaneMeasurement, PoseEstimate, TrackStatus, Velocity};
+use crate::trajectory::{FrameEstimate, LossReason, PlaneMeasurement, PoseEstimate, TrackStatus, Velocity};
 use nalgebra::{Matrix6, Vector3};
 use proptest::prelude::*;
 
