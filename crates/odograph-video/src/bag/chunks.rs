@@ -11,7 +11,7 @@ use std::ops::Range;
 pub(super) const MAX_BYTES: u64 = crate::limits::MAX_INDEX_BYTES;
 
 /// A file of chunks, and what of it is in memory.
-pub(super) struct Chunks {
+pub(super) struct ChunkFile {
     pub file: RecordFile,
     pub topics: Topics,
     /// The records of the current chunk. A record outside of any chunk is a chunk of one.
@@ -41,10 +41,10 @@ pub(super) trait ChunkedFormat: Default + Send {
     const WRONG_MAGIC: &'static str;
 
     /// Reads topics and their numbers of messages; `None` if the file has no valid list of them.
-    fn read_summary(&mut self, chunks: &mut Chunks) -> Result<Option<()>>;
+    fn read_summary(&mut self, chunks: &mut ChunkFile) -> Result<Option<()>>;
 
     /// Reads chunks up to one that is not damaged; false at the end of the data.
-    fn read_chunk(&mut self, chunks: &mut Chunks) -> Result<bool>;
+    fn read_chunk(&mut self, chunks: &mut ChunkFile) -> Result<bool>;
 
     /// Reads the next record of a chunk; `None` at its end.
     fn read_record(
@@ -54,13 +54,13 @@ pub(super) trait ChunkedFormat: Default + Send {
     ) -> Option<Option<FoundMessage>>;
 
     /// What was wrong with the file, known at its end.
-    fn warnings(&self, chunks: &Chunks) -> Vec<String>;
+    fn warnings(&self, chunks: &ChunkFile) -> Vec<String>;
 }
 
 /// Reads a file of a format with chunks.
 pub(super) struct ChunkReader<F> {
     format: F,
-    chunks: Chunks,
+    chunks: ChunkFile,
     /// Position of the next record in the chunk.
     next: usize,
     /// Topic, log time and position in the chunk of the current message.
@@ -71,7 +71,7 @@ pub(super) struct ChunkReader<F> {
 
 impl<F: ChunkedFormat> ChunkReader<F> {
     pub fn open(file: File) -> Result<Self> {
-        let chunks = Chunks {
+        let chunks = ChunkFile {
             file: RecordFile::new(file)?,
             topics: Topics::default(),
             records: Vec::new(),

@@ -3,7 +3,7 @@
 //! Read in the order of the file; the summary at its end is used for the list of topics. A file
 //! without one, such as a truncated one, is read once more to list them.
 
-use super::chunks::{ChunkedFormat, Chunks, FoundMessage, MAX_BYTES};
+use super::chunks::{ChunkFile, ChunkedFormat, FoundMessage, MAX_BYTES};
 use super::compression::Compression;
 use super::cursor::{MessageCursor, Serialization};
 use super::recording::Topics;
@@ -77,7 +77,7 @@ impl ChunkedFormat for Mcap {
     const MAGIC: &'static [u8] = MAGIC;
     const WRONG_MAGIC: &'static str = "this is not an MCAP file";
 
-    fn read_summary(&mut self, chunks: &mut Chunks) -> Result<Option<()>> {
+    fn read_summary(&mut self, chunks: &mut ChunkFile) -> Result<Option<()>> {
         let Some(footer_at) = chunks.file.length().checked_sub(FOOTER_BYTES) else { return Ok(None) };
         chunks.file.seek(footer_at)?;
         chunks.file.read(FOOTER_BYTES, &mut chunks.packed)?;
@@ -125,7 +125,7 @@ impl ChunkedFormat for Mcap {
         })
     }
 
-    fn read_chunk(&mut self, chunks: &mut Chunks) -> Result<bool> {
+    fn read_chunk(&mut self, chunks: &mut ChunkFile) -> Result<bool> {
         loop {
             let mut head = Vec::new();
             chunks.file.read(9, &mut head)?;
@@ -166,7 +166,7 @@ impl ChunkedFormat for Mcap {
         }
     }
 
-    fn warnings(&self, chunks: &Chunks) -> Vec<String> {
+    fn warnings(&self, chunks: &ChunkFile) -> Vec<String> {
         let mut warnings = Vec::new();
         if chunks.is_cut_off {
             warnings.push("the recording is cut off; it is read up to there".to_owned());
@@ -181,7 +181,7 @@ impl ChunkedFormat for Mcap {
 
 /// Unpacks the chunk in `packed`; false if it is damaged. Of a chunk that is cut off, what
 /// there is of it is unpacked.
-fn unpack(chunks: &mut Chunks) -> Result<bool> {
+fn unpack(chunks: &mut ChunkFile) -> Result<bool> {
     let mut body = MessageCursor::packed(&chunks.packed);
     let head = (|| {
         body.take(16)?;

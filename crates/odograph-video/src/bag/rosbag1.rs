@@ -4,7 +4,7 @@
 //! Read in the order of the file. The index at its end is used for the list of topics; a bag
 //! without one (`.bag.active`, a truncated bag) is read once more to list them.
 
-use super::chunks::{ChunkedFormat, Chunks, FoundMessage, MAX_BYTES};
+use super::chunks::{ChunkFile, ChunkedFormat, FoundMessage, MAX_BYTES};
 use super::compression::Compression;
 use super::cursor::{MessageCursor, Serialization};
 use super::reader::RecordFile;
@@ -99,7 +99,7 @@ fn read_head(file: &mut RecordFile, header: &mut Vec<u8>) -> Result<Option<u64>>
 }
 
 /// Reads a record, its data into `records`; `None` if it is not whole.
-fn read_whole_record(chunks: &mut Chunks, header: &mut Vec<u8>) -> Result<Option<u8>> {
+fn read_whole_record(chunks: &mut ChunkFile, header: &mut Vec<u8>) -> Result<Option<u8>> {
     let Some(length) = read_head(&mut chunks.file, header)? else { return Ok(None) };
     if length > chunks.file.remaining() || length > MAX_BYTES {
         return Ok(None);
@@ -113,7 +113,7 @@ impl ChunkedFormat for RosBag1 {
     const MAGIC: &'static [u8] = b"#ROSBAG V2.0\n";
     const WRONG_MAGIC: &'static str = "this bag is of an older version than 2.0; convert it with `rosbag fix` or `rosbag record`'s successor";
 
-    fn read_summary(&mut self, chunks: &mut Chunks) -> Result<Option<()>> {
+    fn read_summary(&mut self, chunks: &mut ChunkFile) -> Result<Option<()>> {
         let mut header = Vec::new();
         let Some(length) = read_head(&mut chunks.file, &mut header)? else { return Ok(None) };
         let fields = Fields(MessageCursor::packed(&header));
@@ -166,7 +166,7 @@ impl ChunkedFormat for RosBag1 {
         })
     }
 
-    fn read_chunk(&mut self, chunks: &mut Chunks) -> Result<bool> {
+    fn read_chunk(&mut self, chunks: &mut ChunkFile) -> Result<bool> {
         let mut header = Vec::new();
         loop {
             if chunks.file.remaining() == 0 {
@@ -220,7 +220,7 @@ impl ChunkedFormat for RosBag1 {
         }
     }
 
-    fn warnings(&self, chunks: &Chunks) -> Vec<String> {
+    fn warnings(&self, chunks: &ChunkFile) -> Vec<String> {
         let mut warnings = Vec::new();
         if chunks.is_cut_off {
             warnings.push("the bag is cut off; it is read up to there".to_owned());

@@ -248,7 +248,7 @@ pub struct Sighted {
 const WINDOW_S: f64 = 0.4;
 
 /// A sensor that measures a state of the camera, and the camera's own values.
-struct Comparison<'a> {
+struct StateComparison<'a> {
     record: &'a SensorRecord,
     nodes: &'a [MeasuredFrame],
     /// Factor of the reading at a node.
@@ -259,7 +259,7 @@ struct Comparison<'a> {
     drift: &'a dyn Fn(&MeasuredFrame) -> f64,
 }
 
-impl Comparison<'_> {
+impl StateComparison<'_> {
     fn sighted(&self) -> Result<Sighted, Reason> {
         let offset = self.time_offset();
         let (mut sights, mut scatters) = self.averaged(offset.offset_s);
@@ -396,7 +396,8 @@ const WORST_HEIGHT_SHARE: f64 = 0.05;
 pub fn heading(record: &SensorRecord, nodes: &[MeasuredFrame]) -> Result<Sighted, Reason> {
     let camera = |node: &MeasuredFrame| node.heading_rad;
     let drift = |node: &MeasuredFrame| node.carried[(2, 2)];
-    let found = Comparison { record, nodes, factor: &|_| 1.0, camera: &camera, drift: &drift }.sighted()?;
+    let found =
+        StateComparison { record, nodes, factor: &|_| 1.0, camera: &camera, drift: &drift }.sighted()?;
     within(found, nodes, camera, WORST_HEADING_RAD)
 }
 
@@ -406,7 +407,8 @@ pub fn range(record: &SensorRecord, nodes: &[MeasuredFrame]) -> Result<Sighted, 
     let factor = |node: &MeasuredFrame| if along_axis { node.tilt_cosine } else { 1.0 };
     let camera = |node: &MeasuredFrame| node.height_m;
     let drift = |node: &MeasuredFrame| node.height_variance;
-    let found = Comparison { record, nodes, factor: &factor, camera: &camera, drift: &drift }.sighted()?;
+    let found =
+        StateComparison { record, nodes, factor: &factor, camera: &camera, drift: &drift }.sighted()?;
     let height_m = nodes.iter().map(|node| node.height_m).sum::<f64>() / nodes.len().max(1) as f64;
     within(found, nodes, camera, WORST_HEIGHT_SHARE * height_m)
 }
