@@ -173,8 +173,8 @@ impl CsvColumns {
         Ok(Self { count: names.len(), numbers, status: column("status")? })
     }
 
-    /// The numbers of a line, NaN where a cell is empty, and the code of its state. The error is the
-    /// end of a sentence.
+    /// The numbers of a line, NaN where a cell is empty, and the code of its state. The error is
+    /// the end of a sentence.
     fn read(&self, line: &str) -> std::result::Result<([f64; Self::NAMES.len()], f64), String> {
         let cells: Vec<&str> = line.split(',').collect();
         if cells.len() != self.count {

@@ -1,5 +1,5 @@
-//! Parameters of disturbances and image degradations. Each is off by default and reproducible by its
-//! seed.
+//! Parameters of disturbances and image degradations. Each is off by default and reproducible by
+//! its seed.
 
 use super::fixtures::{Bumper, Dirt, Lamp};
 use super::sway::Sway;

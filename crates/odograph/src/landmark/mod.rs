@@ -1,9 +1,9 @@
 //! Landmarks: markers on the ground that keyframes show, each known by its number.
 //!
-//! A [`MarkerSighting`] is where a keyframe has a marker. Two sightings of the same marker tie
-//! their keyframes together wherever the path has drifted ([`MarkerSighting::edge_to`]); a surveyed one
-//! has a place in the survey frame ([`ControlPoint`]). Derivation: `docs/math/pose-graph.md`,
-//! "Markers".
+//! A [`MarkerSighting`] is where a keyframe has a marker. Two sightings of the same marker are an
+//! edge between their keyframes, however far the path has drifted ([`MarkerSighting::edge_to`]); a
+//! surveyed one has a place in the survey frame ([`ControlPoint`]). Derivation:
+//! `docs/math/pose-graph.md`, "Markers".
 
 use crate::camera::Camera;
 use crate::geometry::pose_index::{HEADING, HEIGHT, LN_SCALE};

@@ -129,8 +129,8 @@ impl Mapper {
         covariance.try_inverse().is_some_and(|information| off.dot(&(information * off)) <= GATE_SQUARED)
     }
 
-    /// Adds an edge. A part of the map that no measurement connects yet is moved to where the marker
-    /// puts it.
+    /// Adds an edge. A part of the map that no measurement connects yet is moved to where the
+    /// marker puts it.
     fn close_loop(&mut self, edge: MapEdge, images: &mut dyn KeyframeStore) -> Result<()> {
         if let (Some(from), Some(measured_m)) =
             (self.graph.pose(edge.from), self.measured_m(edge.from, edge.to))

@@ -100,7 +100,7 @@ impl<'a> Believed<'a> {
         Some(reckoned)
     }
 
-    /// The sensors that cover a gap, the heading only without a gyroscope; `None` if there are none.
+    /// The sensors that cover a gap; a compass only without a gyroscope. `None` if none does.
     fn covering(&self, gap: &TrackingGap) -> Option<Believed<'a>> {
         let covers = |record: &SensorRecord, offset_s: f64| {
             record.between(0, gap.from_s + offset_s, gap.to_s + offset_s).is_some()
@@ -172,8 +172,8 @@ impl<'a> Believed<'a> {
         })
     }
 
-    /// Displacement forward and to the left within a step that turns by `turn`, metres. `None` where
-    /// the sensor has a gap of its own.
+    /// Displacement forward and to the left within a step that turns by `turn`, metres. `None`
+    /// where the sensor has a gap of its own.
     fn advance(
         &self,
         (from_s, to_s): (f64, f64),
