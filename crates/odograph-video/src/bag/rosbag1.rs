@@ -143,7 +143,8 @@ impl ChunkedFormat for RosBag1 {
                 }
             }
         }
-        Ok(Some(()).filter(|()| !chunks.topics.all.is_empty()))
+        self.indexed = !chunks.topics.all.is_empty();
+        Ok(self.indexed.then_some(()))
     }
 
     fn read_record(
