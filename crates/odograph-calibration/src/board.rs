@@ -142,8 +142,8 @@ pub struct BoardView {
 /// Limits of a valid board: longest side (metres), largest count along a side, smallest spacing
 /// (metres).
 const LARGEST_M: f64 = 20.0;
-const MOST_ALONG_A_SIDE: usize = 200;
-const LEAST_SPACING_M: f64 = 1e-4;
+const MAX_ALONG_A_SIDE: usize = 200;
+const MIN_SPACING_M: f64 = 1e-4;
 
 impl Board {
     /// A board with `columns` by `rows` elements (inner corners, squares, tags or discs, depending
@@ -158,12 +158,12 @@ impl Board {
             BoardKind::AprilGrid { .. } => 1,
             _ => 2,
         };
-        if !(least..=MOST_ALONG_A_SIDE).contains(&columns) || !(least..=MOST_ALONG_A_SIDE).contains(&rows) {
+        if !(least..=MAX_ALONG_A_SIDE).contains(&columns) || !(least..=MAX_ALONG_A_SIDE).contains(&rows) {
             return Err(Error::usage(format!(
-                "a board of {columns}x{rows} is not usable; each count must be {least} to {MOST_ALONG_A_SIDE}"
+                "a board of {columns}x{rows} is not usable; each count must be {least} to {MAX_ALONG_A_SIDE}"
             )));
         }
-        if !spacing_m.is_finite() || spacing_m < LEAST_SPACING_M {
+        if !spacing_m.is_finite() || spacing_m < MIN_SPACING_M {
             return Err(Error::usage(format!(
                 "a spacing of {spacing_m} m is not usable; it must be a positive length such as 25mm"
             )));

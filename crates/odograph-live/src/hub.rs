@@ -2,7 +2,7 @@
 //! viewer; each viewer reads what is new since its last read.
 
 use crate::ground::TiledGround;
-use crate::record::{Records, TrackRecord};
+use crate::record::{TrackRecord, TrackRecords};
 pub use crate::shown::{Introduction, Mark, Phase, Status, View};
 use odograph::mosaic::MosaicSquare;
 use serde::Serialize;
@@ -11,7 +11,7 @@ use std::sync::{Arc, Condvar, Mutex, MutexGuard, PoisonError};
 use std::time::{Duration, Instant};
 
 /// Maximum number of marks in a run; later ones are rejected.
-const MOST_MARKS: usize = 10_000;
+const MAX_MARKS: usize = 10_000;
 /// Interval at which a viewer polls the ground map for changes.
 const GROUND_INTERVAL: Duration = Duration::from_millis(250);
 
@@ -29,7 +29,7 @@ pub struct Hub {
 
 #[derive(Default)]
 struct ViewerState {
-    records: Records,
+    records: TrackRecords,
     view: Option<Arc<View>>,
     views: u64,
     status: Status,
@@ -152,7 +152,7 @@ impl Hub {
     pub fn mark(&self, name: &str) -> Option<Mark> {
         let mut seen = self.seen();
         let count = seen.records.count();
-        if count == 0 || seen.marks.len() >= MOST_MARKS {
+        if count == 0 || seen.marks.len() >= MAX_MARKS {
             return None;
         }
         let last = seen.records.from(count - 1);
@@ -383,7 +383,7 @@ mod tests {
     fn late_viewers_receive_the_whole_path_in_order() {
         let hub = hub();
         let mut early = hub.look();
-        let count = 2 * Records::IN_A_PIECE + 10;
+        let count = 2 * TrackRecords::IN_A_PIECE + 10;
         let mut met = 0;
         for k in 0..count {
             hub.add_record(&record(k as f32, 0.0));

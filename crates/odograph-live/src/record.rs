@@ -88,7 +88,7 @@ impl TrackRecord {
 }
 
 /// Maximum number of frames in a finished run: a week at 60 frames per second.
-const MOST_FRAMES: usize = 40_000_000;
+const MAX_FRAMES: usize = 40_000_000;
 
 impl TrackRecord {
     /// Reads the records of a finished run from its `trajectory.csv`. Columns are identified by the
@@ -98,103 +98,116 @@ impl TrackRecord {
     /// If a column is missing or a line cannot be parsed.
     pub fn from_csv(text: &str) -> Result<Vec<Self>> {
         let mut lines = text.split_inclusive('\n').enumerate();
-        let header = lines.next().map_or("", |(_, line)| line.trim_end());
-        let columns: Vec<&str> = header.split(',').collect();
+        let columns = CsvColumns::new(lines.next().map_or("", |(_, line)| line.trim_end()))?;
+        let mut records = Vec::new();
+        let mut first_time_s = None;
+        for (number, line) in lines.filter(|(_, line)| line.ends_with('\n')).take(MAX_FRAMES) {
+            let wrong = |what: String| Error::input(format!("line {} of trajectory.csv: {what}", number + 1));
+            let (numbers, state) = columns.read(line.trim_end()).map_err(wrong)?;
+            let begin_s = *first_time_s.get_or_insert(numbers[0]);
+            records.push(Self::from_numbers(numbers, state, begin_s));
+        }
+        Ok(records)
+    }
+
+    /// The record of the columns [`CsvColumns::NAMES`]. `trajectory.csv` has no covariance of x and
+    /// y, so the error ellipse of a finished run is axis-aligned.
+    fn from_numbers(numbers: [f64; CsvColumns::NAMES.len()], state: f64, begin_s: f64) -> Self {
+        let [time_s, x_m, y_m, heading_deg, sigma_x_m, sigma_y_m, sigma_heading_deg, rest @ ..] = numbers;
+        let [speed_m_s, segment, tracks, inliers] = rest;
+        let values = [
+            time_s - begin_s,
+            x_m,
+            y_m,
+            heading_deg.to_radians(),
+            sigma_x_m * sigma_x_m,
+            sigma_x_m * 0.0, // NaN where there is no pose
+            sigma_y_m * sigma_y_m,
+            sigma_heading_deg.to_radians(),
+            speed_m_s,
+            state,
+            segment,
+            tracks,
+            inliers,
+            f64::NAN,
+            f64::NAN,
+        ];
+        Self { values: values.map(|value| value as f32) }
+    }
+}
+
+/// The columns of a `trajectory.csv` that a record has.
+struct CsvColumns {
+    count: usize,
+    /// Where the columns [`CsvColumns::NAMES`] are.
+    numbers: [usize; Self::NAMES.len()],
+    status: usize,
+}
+
+impl CsvColumns {
+    const NAMES: [&str; 11] = [
+        "time_s",
+        "x_m",
+        "y_m",
+        "heading_deg",
+        "sigma_x_m",
+        "sigma_y_m",
+        "sigma_heading_deg",
+        "speed_m_s",
+        "segment",
+        "tracks",
+        "inliers",
+    ];
+
+    fn new(header: &str) -> Result<Self> {
+        let names: Vec<&str> = header.split(',').collect();
         let column = |name: &str| {
-            columns.iter().position(|known| *known == name).ok_or_else(|| {
+            names.iter().position(|known| *known == name).ok_or_else(|| {
                 Error::input(format!("this is not the trajectory.csv of a run: it has no column {name}"))
             })
         };
-        const NAMES: [&str; 11] = [
-            "time_s",
-            "x_m",
-            "y_m",
-            "heading_deg",
-            "sigma_x_m",
-            "sigma_y_m",
-            "sigma_heading_deg",
-            "speed_m_s",
-            "segment",
-            "tracks",
-            "inliers",
-        ];
-        let mut places = [0; NAMES.len()];
-        for (place, name) in places.iter_mut().zip(NAMES) {
-            *place = column(name)?;
+        let mut numbers = [0; Self::NAMES.len()];
+        for (at, name) in numbers.iter_mut().zip(Self::NAMES) {
+            *at = column(name)?;
         }
-        let status = column("status")?;
-        let mut records = Vec::new();
-        let mut first_time_s = None;
-        for (number, line) in lines.filter(|(_, line)| line.ends_with('\n')).take(MOST_FRAMES) {
-            let cells: Vec<&str> = line.trim_end().split(',').collect();
-            let wrong = |what: &str| Error::input(format!("line {} of trajectory.csv: {what}", number + 1));
-            if cells.len() != columns.len() {
-                return Err(wrong(&format!("{} cells, but {} columns", cells.len(), columns.len())));
-            }
-            let mut numbers = [f64::NAN; NAMES.len()];
-            for (value, &place) in
-                numbers.iter_mut().zip(&places).filter(|(_, place)| !cells[**place].is_empty())
-            {
-                *value =
-                    cells[place].parse().map_err(|_| wrong(&format!("{} is no number", cells[place])))?;
-            }
-            let [
-                time_s,
-                x_m,
-                y_m,
-                heading_deg,
-                sigma_x,
-                sigma_y,
-                sigma_heading_deg,
-                speed,
-                segment,
-                tracks,
-                inliers,
-            ] = numbers;
-            let state = match cells[status] {
-                "tracked" => 0.0,
-                "lost:bare" => 1.0,
-                "lost:jump" => 2.0,
-                "lost:dark" => 4.0,
-                "lost:blur" => 5.0,
-                "lost:shadow" => 6.0,
-                _ => 3.0,
-            };
-            let begin = *first_time_s.get_or_insert(time_s);
-            // The table has no covariance of x and y, so the error ellipse of a finished run is
-            // axis-aligned.
-            let values = [
-                time_s - begin,
-                x_m,
-                y_m,
-                heading_deg.to_radians(),
-                sigma_x * sigma_x,
-                sigma_x * 0.0,
-                sigma_y * sigma_y,
-                sigma_heading_deg.to_radians(),
-                speed,
-                state,
-                segment,
-                tracks,
-                inliers,
-                f64::NAN,
-                f64::NAN,
-            ];
-            records.push(Self { values: values.map(|value| value as f32) });
+        Ok(Self { count: names.len(), numbers, status: column("status")? })
+    }
+
+    /// The numbers of a line, NaN where a cell is empty, and the code of its state. The error is
+    /// the end of a sentence.
+    fn read(&self, line: &str) -> std::result::Result<([f64; Self::NAMES.len()], f64), String> {
+        let cells: Vec<&str> = line.split(',').collect();
+        if cells.len() != self.count {
+            return Err(format!("{} cells, but {} columns", cells.len(), self.count));
         }
-        Ok(records)
+        let mut numbers = [f64::NAN; Self::NAMES.len()];
+        for (value, cell) in numbers.iter_mut().zip(self.numbers.map(|at| cells[at])) {
+            if !cell.is_empty() {
+                *value = cell.parse().map_err(|_| format!("{cell} is no number"))?;
+            }
+        }
+        let state = match cells[self.status] {
+            "tracked" => 0.0,
+            "lost:bare" => 1.0,
+            "lost:jump" => 2.0,
+            "lost:dark" => 4.0,
+            "lost:blur" => 5.0,
+            "lost:shadow" => 6.0,
+            _ => 3.0,
+        };
+        Ok((numbers, state))
     }
 }
 
 /// The records of all frames, 60 bytes each. They are stored in blocks, so that appending never
 /// copies old records and no more than one block is allocated in advance.
 #[derive(Default)]
-pub(crate) struct Records {
+pub(crate) struct TrackRecords {
     pieces: Vec<Vec<f32>>,
     count: usize,
 }
 
-impl Records {
+impl TrackRecords {
     /// Records in a block, which is also the maximum in one message.
     pub const IN_A_PIECE: usize = 8192;
 

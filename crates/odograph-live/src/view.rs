@@ -8,7 +8,7 @@ use odograph::odometry::TrackView;
 /// Images wider than this are displayed at half size: no page shows more detail, and encoding would
 /// take time from the tracking.
 const WIDEST_PX: usize = 960;
-/// JPEG quality (1 to 100).
+/// JPEG quality (1 to 100): higher shows more detail and takes more of the network.
 const QUALITY: u8 = 72;
 
 impl View {

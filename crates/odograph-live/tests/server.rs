@@ -4,7 +4,7 @@
 #![allow(clippy::unwrap_used)] // a test fails by panicking
 
 use odograph::mosaic::Mosaic;
-use odograph_live::server::MOST_CONNECTIONS;
+use odograph_live::server::MAX_CONNECTIONS;
 use odograph_live::{Hub, Introduction, Server, ServerOptions, Status, TrackRecord, View};
 use std::io::{Read, Write};
 use std::net::{SocketAddr, TcpStream};
@@ -247,7 +247,7 @@ fn a_hundred_unresponsive_clients_block_no_other() {
     }
     // And a new client is served.
     assert_eq!(status(&get(address, "/state", "")), "200");
-    assert!(place.server.connections() <= MOST_CONNECTIONS);
+    assert!(place.server.connections() <= MAX_CONNECTIONS);
     // All clients disconnect at once; their threads end.
     drop((silent, deaf, listener));
     let until = Instant::now() + PATIENCE;
@@ -261,9 +261,9 @@ fn a_hundred_unresponsive_clients_block_no_other() {
 fn connections_beyond_the_limit_get_status_503() {
     let place = place(None);
     let address = place.server.address();
-    let held: Vec<TcpStream> = (0..MOST_CONNECTIONS).map(|_| connect(address)).collect();
+    let held: Vec<TcpStream> = (0..MAX_CONNECTIONS).map(|_| connect(address)).collect();
     let until = Instant::now() + PATIENCE;
-    while place.server.connections() < MOST_CONNECTIONS && Instant::now() < until {
+    while place.server.connections() < MAX_CONNECTIONS && Instant::now() < until {
         std::thread::yield_now();
     }
     assert_eq!(status(&raw(address, b"")), "503");

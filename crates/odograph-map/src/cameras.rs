@@ -11,7 +11,7 @@ use rusqlite::{Connection, Row, params};
 use std::collections::BTreeMap;
 
 /// Largest number of pixels of a map's camera: a decoded image has as many bytes.
-const MOST_PIXELS: usize = 256 << 20;
+const MAX_PIXELS: usize = 256 << 20;
 
 const TABLE: &str = "CREATE TABLE odograph_session_camera (session INTEGER PRIMARY KEY NOT NULL, width INTEGER NOT NULL, \
                      height INTEGER NOT NULL, fx_px DOUBLE NOT NULL, fy_px DOUBLE NOT NULL, cx_px DOUBLE NOT NULL, \
@@ -182,7 +182,7 @@ impl StoredCamera {
         let distortion = distortion_named(&name, &coefficients).ok_or_else(|| {
             complaint.input(format!("the camera has a lens model \"{name}\" that this program does not know"))
         })?;
-        if size.0.saturating_mul(size.1) > MOST_PIXELS {
+        if size.0.saturating_mul(size.1) > MAX_PIXELS {
             return Err(
                 complaint.input(format!("the camera's image of {}x{} pixels is too large", size.0, size.1))
             );

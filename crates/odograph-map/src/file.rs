@@ -17,9 +17,10 @@ use std::collections::BTreeMap;
 use std::fs::File;
 use std::path::{Path, PathBuf};
 
-/// Largest value that is read from a map, bytes.
+/// Largest value that is read from a map, bytes: bounds memory for damaged or hostile files.
 const LARGEST_VALUE: i32 = 256 << 20;
-/// Number of 4 KiB pages in the write-ahead log at which it is checkpointed into the file.
+/// Number of 4 KiB pages in the write-ahead log at which SQLite copies it into the file: more make
+/// writes rarer and the log larger (8 MB).
 const PAGES_IN_LOG: i64 = 2000;
 
 /// One of the runs that made a map.
@@ -285,11 +286,6 @@ impl MapFile {
     ) -> Result<u32> {
         let origin = origin.clone().validated()?;
         self.new_session(source, Some(mounted), &|transaction, id| origin::write(transaction, id, &origin))
-    }
-
-    /// Starts a session with a camera of its own. Fails if the session cannot be written.
-    pub fn begin_session_with(&mut self, source: &str, mounted: &MountedCamera) -> Result<u32> {
-        self.new_session(source, Some(mounted), &|_, _| Ok(()))
     }
 
     fn new_session(

@@ -18,7 +18,7 @@ const CHANNELS: usize = 4;
 
 /// Largest number of tiles of a picture, most of which may be empty: each is 16 bytes in its
 /// directory.
-const MOST_TILES: u64 = 1 << 22;
+const MAX_TILES: u64 = 1 << 22;
 
 /// A picture that was written.
 #[derive(Debug, Clone, Copy, PartialEq)]
@@ -52,7 +52,7 @@ impl MapFile {
             [&layer.columns, &layer.rows].map(|range| range.start / tile..range.end.div_ceil(tile))
         };
         let count = |range: &Range<u64>| range.end - range.start;
-        let fits = |level: &u32| tiles_at(*level).iter().map(count).product::<u64>() <= MOST_TILES;
+        let fits = |level: &u32| tiles_at(*level).iter().map(count).product::<u64>() <= MAX_TILES;
         let level = (0..=layer.finest).rev().find(fits).unwrap_or(0);
         let [columns, rows] = tiles_at(level);
         let pixel_m = layer.resolution_m * (1_u64 << (layer.finest - level)) as f64;
@@ -93,7 +93,7 @@ fn put_tile<W: Write + Seek, K: TiffKind>(
     Ok((offset, compressed.len() as u64))
 }
 
-/// Each sample less its left neighbour: TIFF's horizontal predictor.
+/// Each sample minus its left neighbour: TIFF's horizontal predictor.
 fn differences(rgba: &[u8]) -> Vec<u8> {
     let mut samples = rgba.to_vec();
     for row in samples.chunks_exact_mut(CHANNELS * MOSAIC_TILE_PX) {

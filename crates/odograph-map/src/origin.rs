@@ -16,7 +16,7 @@ const SESSIONS: &str = "CREATE TABLE odograph_session_origin (session INTEGER PR
 const KEYFRAMES: &str =
     "CREATE TABLE odograph_keyframe_origin (keyframe INTEGER PRIMARY KEY NOT NULL, number INTEGER NOT NULL)";
 
-/// Longest name of a robot, bytes.
+/// Longest name of a robot, bytes: it is shown on pages and is part of addresses.
 const LONGEST_NAME: usize = 64;
 
 /// Who made a session: the same in every map that has it.
@@ -116,7 +116,7 @@ pub(crate) fn number_of(connection: &Connection, keyframe: KeyframeId) -> rusqli
         .optional()
 }
 
-/// Removes what is known of the origin of keyframes.
+/// Removes the recorded origins of keyframes.
 pub(crate) fn remove(connection: &Connection, gone: &[KeyframeId]) -> rusqlite::Result<()> {
     if !is_there(connection)? {
         return Ok(());

@@ -21,7 +21,8 @@ use rusqlite::{Connection, Row, params};
 use std::collections::{BTreeMap, BTreeSet};
 use std::path::Path;
 
-/// Rows of a table that are looked for one by one beyond the last that could be read in order.
+/// Number of rows probed one by one beyond the last row that could be read in order: more recover
+/// rows behind larger damage and take longer.
 const PROBED_ROWS: i64 = 1 << 16;
 
 /// What [`repair`] saved of a map.

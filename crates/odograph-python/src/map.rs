@@ -8,7 +8,7 @@ use numpy::ndarray::Array3;
 use numpy::{IntoPyArray, PyArray3};
 use odograph_core::Error;
 use odograph_map::MapFile;
-use odograph_session::{AlikePlace, PlaceInMap, ResemblanceVerdict, RunBuilder, SourcePlan, files};
+use odograph_session::{AlikePlace, PoseInMap, ResemblanceVerdict, RunBuilder, SourcePlan, files};
 use pyo3::prelude::*;
 use std::path::{Path, PathBuf};
 
@@ -152,7 +152,7 @@ impl PyMap {
 /// Where a camera is in a map, or why that is not known.
 #[pyclass(name = "Place", frozen, module = "odograph")]
 pub struct PyPlace {
-    place: Option<PlaceInMap>,
+    place: Option<PoseInMap>,
     verdict: &'static str,
     message: Option<String>,
     candidates: Vec<AlikePlace>,

@@ -321,11 +321,11 @@ fn gaps(pairs: &[PosePair]) -> impl Iterator<Item = usize> {
 }
 
 /// More points than this cannot be distinguished on paper.
-const MOST_POINTS: usize = 4000;
+const MAX_POINTS: usize = 4000;
 
 /// Evenly taken points with the first and the last.
 fn thinned<T>(points: &[T]) -> impl Iterator<Item = &T> {
-    let step = points.len().div_ceil(MOST_POINTS).max(1);
+    let step = points.len().div_ceil(MAX_POINTS).max(1);
     let last = points.len().saturating_sub(1);
     points.iter().enumerate().filter(move |(i, _)| i % step == 0 || *i == last).map(|(_, point)| point)
 }
@@ -333,11 +333,11 @@ fn thinned<T>(points: &[T]) -> impl Iterator<Item = &T> {
 /// Points of a part of a curve of `all` points, thinned so that no peak is lost: of each bundle the
 /// lowest and the highest.
 fn envelope(points: &[(f64, f64)], all: usize) -> Vec<(f64, f64)> {
-    let step = (2 * all).div_ceil(MOST_POINTS).max(1);
+    let step = (2 * all).div_ceil(MAX_POINTS).max(1);
     if step <= 2 {
         return points.to_vec();
     }
-    let mut kept = Vec::with_capacity(MOST_POINTS);
+    let mut kept = Vec::with_capacity(MAX_POINTS);
     for bundle in points.chunks(step) {
         let value = |a: &&(f64, f64), b: &&(f64, f64)| a.1.total_cmp(&b.1);
         if let (Some(&low), Some(&high)) = (bundle.iter().min_by(value), bundle.iter().max_by(value)) {

@@ -15,7 +15,7 @@ use std::fmt::Write;
 const SCRIPT: &str = include_str!("ground_view.js");
 
 /// Maximum number of frames that can be pointed at; longer runs are thinned.
-const MOST_ROWS: usize = 4000;
+const MAX_ROWS: usize = 4000;
 
 /// A layer of the picture: the class of its elements, its name, whether it is shown at first, and
 /// its elements.
@@ -82,7 +82,7 @@ pub fn script(frames: &[FrameSummary], page: &mut String) {
     let times_s: Vec<f64> = frames.iter().map(|frame| frame.time_s - first.time_s).collect();
     let posed =
         frames.iter().zip(&times_s).filter_map(|(frame, &time_s)| Some((frame, time_s, frame.place?)));
-    let every = posed.clone().count().div_ceil(MOST_ROWS).max(1);
+    let every = posed.clone().count().div_ceil(MAX_ROWS).max(1);
     let rows: Vec<String> = posed
         .step_by(every)
         .map(|(frame, time_s, at)| {

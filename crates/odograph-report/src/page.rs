@@ -10,12 +10,12 @@ use odograph::drawing::MapDrawing;
 use odograph::drawing::scale::{duration_text, length_text};
 use odograph::drawing::svg::escape;
 use odograph::filter::fusion::SensorReport;
-use odograph::trajectory::FrameSummary;
+use odograph::trajectory::{FrameSummary, PlaceSummary};
 use odograph_session::{ComparedReference, ReportInput};
 use std::fmt::Write;
 
 /// Maximum number of rows in the table of losses; further ones are only counted.
-const MOST_ROWS: usize = 100;
+const MAX_ROWS: usize = 100;
 
 /// The report as one HTML file without external references.
 pub fn html(input: &ReportInput<'_>) -> String {
@@ -50,7 +50,7 @@ fn lead(figures: &RunFigures) -> String {
     if figures.with_pose == 0 {
         return "No frame could be tracked. The reasons are listed below.".into();
     }
-    let way = format!(
+    let measured = format!(
         "<b>{}</b> travelled in {}.",
         distance_text(figures.distance_m),
         duration_text(figures.duration_s)
@@ -66,7 +66,7 @@ fn lead(figures: &RunFigures) -> String {
             duration_text(figures.lost_s())
         ),
     };
-    format!("{way} {kept}")
+    format!("{measured} {kept}")
 }
 
 /// The length of the path, to the centimetre as the program prints it.
@@ -110,42 +110,47 @@ fn cards(figures: &RunFigures, page: &mut String) {
         );
     }
     if let (Some(last), Some(away_m)) = (&figures.last, figures.start_to_end_m()) {
-        card(
-            "End position",
-            &position_text(last.x_m, last.y_m),
-            &format!(
-                "x forward, y left of the start; the heading there is {}°.",
-                number(last.heading_rad.to_degrees(), 1)
-            ),
-            page,
-        );
-        let share = match figures.distance_m {
-            d if d > 0.0 => {
-                let percent = 100.0 * away_m / d;
-                // Two digits of what is small.
-                let decimals = if percent < 1.0 { 3 } else { 1 };
-                format!(", {percent:.decimals$} % of the distance")
-            }
-            _ => String::new(),
-        };
-        card(
-            "From start to end",
-            &length_text(away_m),
-            &format!("Straight from the first position to the last{share}."),
-            page,
-        );
-        let (position_m, heading_rad) = sigmas(last);
-        card(
-            "Uncertainty at the end",
-            &format!("± {}", uncertainty_text(2.0 * position_m)),
-            &format!(
-                "And ± {}° of heading: two standard deviations since the start or the last loss, if camera and height are right.",
-                number(2.0 * heading_rad.to_degrees(), 2)
-            ),
-            page,
-        );
+        end_cards(figures.distance_m, last, away_m, page);
     }
     page.push_str("</div>\n");
+}
+
+/// Cards about the last position, `away_m` from the first.
+fn end_cards(distance_m: f64, last: &PlaceSummary, away_m: f64, page: &mut String) {
+    card(
+        "End position",
+        &position_text(last.x_m, last.y_m),
+        &format!(
+            "x forward, y left of the start; the heading there is {}°.",
+            number(last.heading_rad.to_degrees(), 1)
+        ),
+        page,
+    );
+    let share = match distance_m {
+        d if d > 0.0 => {
+            let percent = 100.0 * away_m / d;
+            // Two digits of what is small.
+            let decimals = if percent < 1.0 { 3 } else { 1 };
+            format!(", {percent:.decimals$} % of the distance")
+        }
+        _ => String::new(),
+    };
+    card(
+        "From start to end",
+        &length_text(away_m),
+        &format!("Straight from the first position to the last{share}."),
+        page,
+    );
+    let (position_m, heading_rad) = sigmas(last);
+    card(
+        "Uncertainty at the end",
+        &format!("± {}", uncertainty_text(2.0 * position_m)),
+        &format!(
+            "And ± {}° of heading: two standard deviations since the start or the last loss, if camera and height are right.",
+            number(2.0 * heading_rad.to_degrees(), 2)
+        ),
+        page,
+    );
 }
 
 /// A standard deviation in the unit of the figures beside it: never smaller than a millimetre.
@@ -212,7 +217,7 @@ fn doubts(frames: &[FrameSummary], figures: &RunFigures, page: &mut String) {
         page.push_str(
             "<div class=\"box scroll\"><table><tr><th>Lost</th><th>for</th><th>because</th></tr>\n",
         );
-        for stretch in figures.lost.iter().take(MOST_ROWS) {
+        for stretch in figures.lost.iter().take(MAX_ROWS) {
             let _ = writeln!(
                 page,
                 "<tr><td class=\"time\">{:.2} – {:.2} s</td><td>{}, {} {}</td><td>{}</td></tr>",
@@ -225,8 +230,8 @@ fn doubts(frames: &[FrameSummary], figures: &RunFigures, page: &mut String) {
             );
         }
         page.push_str("</table></div>\n");
-        if figures.lost.len() > MOST_ROWS {
-            let _ = writeln!(page, "<p>And {} stretches more.</p>", figures.lost.len() - MOST_ROWS);
+        if figures.lost.len() > MAX_ROWS {
+            let _ = writeln!(page, "<p>And {} stretches more.</p>", figures.lost.len() - MAX_ROWS);
         }
     }
     if weak.is_empty() {

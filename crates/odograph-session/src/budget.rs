@@ -41,14 +41,16 @@ struct Cost {
     corner_ms: f64,
 }
 
-/// Minimum number of corners: below it outliers on other surfaces cannot be recognised. Not
-/// derived; chosen.
+/// Minimum number of corners. Fewer take less time; with too few, those on a shadow or on the
+/// vehicle outvote those on the ground.
 const MIN_CORNERS: usize = 60;
 
-/// Minimum number of levels: enough for predicted motion. Not derived; chosen.
+/// Minimum number of pyramid levels. Fewer take less time; with one, only motions predicted to a
+/// few pixels are tracked.
 const MIN_LEVELS: usize = 2;
 
-/// Fraction of the budget reserved for variation between frames. Not derived; chosen.
+/// Fraction of the budget that is left unused: more makes fewer frames exceed the budget, less
+/// leaves time for more corners.
 const SPARE: f64 = 0.2;
 
 /// Budgets that are accepted, milliseconds a frame.

@@ -16,7 +16,7 @@ use odograph::geometry::EarthPosition;
 use odograph::georeference::{AntennaPosition, Georeference, GnssFix, georeference};
 use odograph::keyframe::KeyframeId;
 use odograph::pose_frame::PoseFrames;
-use odograph::slam::{AntennaFix, Bent};
+use odograph::slam::{AntennaFix, DriftCorrection};
 use odograph::trajectory::{FrameEstimate, FrameSummary, PlaceSummary};
 use std::fmt::Write;
 
@@ -28,7 +28,7 @@ pub const UTM_MOSAIC: &str = "mosaic-utm.tif";
 /// Largest size of a file of fixes, bytes: weeks of NMEA at ten a second.
 const MAX_BYTES: u64 = 256 << 20;
 
-/// Standard deviation of a receiver's time less the camera's, seconds: of clocks that are
+/// Standard deviation of a receiver's time minus the camera's, seconds: of clocks that are
 /// synchronised or of one recorder, and of a start that a person stated.
 const SYNCHRONISED_S: f64 = 0.2;
 const STATED_S: f64 = 1.0;
@@ -69,7 +69,8 @@ impl GnssRecord {
         Some((self.fixes.first()?.time_s, self.fixes.last()?.time_s))
     }
 
-    /// The fixes on the path, and where that is on Earth as it is; `None` if it has no place there.
+    /// The fixes with their points of the path, and its georeference before any correction; `None`
+    /// if it has none.
     /// `path` is in the map frame, `measured` as [`measured_path`] has it.
     pub fn antenna_fixes(
         &self,
@@ -98,13 +99,13 @@ impl GnssRecord {
         Some((self.fixes.iter().filter_map(on_path).collect(), found))
     }
 
-    /// Places a run on Earth; `bent` is what the positions have changed of the map.
+    /// Places a run on Earth; `bent` is the correction of the map by the positions.
     pub fn place(
         &self,
         plan: &RunPlan,
         path: &[AntennaPosition],
         frames: &[FrameSummary],
-        bent: Option<Bent>,
+        bent: Option<DriftCorrection>,
     ) -> OnEarth {
         let span_s = frames.first().zip(frames.last()).map(|(first, last)| (first.time_s, last.time_s));
         let apart = self.span_s().zip(span_s).filter(|(own, run)| own.0 > run.1 || own.1 < run.0);

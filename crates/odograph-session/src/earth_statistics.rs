@@ -1,7 +1,7 @@
 //! Where on Earth a run was, for `stats.json` and for people.
 
 use odograph::georeference::{FixUse, Georeference, GnssFix};
-use odograph::slam::Bent;
+use odograph::slam::DriftCorrection;
 use serde::Serialize;
 
 /// Result of the satellite receiver, as in `stats.json`.
@@ -47,7 +47,7 @@ pub struct EarthStatistics {
     /// Whether the positions showed that the path has drifted or is of another scale, and path and
     /// map are corrected.
     pub bent: bool,
-    /// The receiver's time less the camera's, seconds.
+    /// The receiver's time minus the camera's, seconds.
     pub clock_offset_s: f64,
     /// Its standard deviation, seconds.
     pub sigma_clock_offset_s: f64,
@@ -64,11 +64,11 @@ pub struct GnssOutlier {
     pub off_m: f64,
 }
 
-/// Number of outliers that are listed.
-const MOST_OUTLIERS: usize = 100;
+/// Number of outliers listed in `stats.json`; all are counted.
+const MAX_OUTLIERS: usize = 100;
 
 impl GnssStatistics {
-    pub(crate) fn of(fixes: &[GnssFix], found: &Georeference, bent: Option<Bent>) -> Self {
+    pub(crate) fn of(fixes: &[GnssFix], found: &Georeference, bent: Option<DriftCorrection>) -> Self {
         // The path already has the metres that the map was bent to.
         let (scale, scale_sigma) = match bent {
             Some(bent) => (bent.scale * found.scale, bent.scale_sigma.hypot(found.scale_sigma)),
@@ -104,7 +104,7 @@ impl GnssStatistics {
                 bent: bent.is_some(),
                 clock_offset_s: found.clock_offset_s,
                 sigma_clock_offset_s: found.clock_offset_sigma_s,
-                outliers: outliers.into_iter().take(MOST_OUTLIERS).collect(),
+                outliers: outliers.into_iter().take(MAX_OUTLIERS).collect(),
             }),
         }
     }

@@ -7,14 +7,6 @@ use odograph::mounting::{CalibrationUpdate, LensMeasurement, TiltMeasurement};
 use odograph::odometry::Odometry;
 use serde::Serialize;
 
-/// What a camera was found to be that the plan does not have; the recording is then tracked again.
-pub enum CameraDifference {
-    /// Another mount or lens.
-    Calibration(Box<CalibrationUpdate>),
-    /// It adds a pattern to its images.
-    FixedPattern(NonuniformityCorrection),
-}
-
 /// The part of the image that was ignored because it is static.
 #[derive(Debug, Clone, PartialEq, Serialize)]
 pub struct FixedInImage {
@@ -76,7 +68,12 @@ pub struct FoundMount {
 }
 
 impl FoundMount {
-    pub(crate) fn new(given: &Rig, found: &TiltMeasurement) -> Self {
+    /// The mount where self-calibration found another tilt than the given rig's.
+    pub(crate) fn of(given: &Rig, found: Option<&CalibrationUpdate>) -> Option<Self> {
+        Some(Self::new(given, found?.tilt.as_ref()?))
+    }
+
+    fn new(given: &Rig, found: &TiltMeasurement) -> Self {
         Self {
             given_roll_deg: given.roll_rad.to_degrees(),
             given_pitch_deg: given.pitch_rad.to_degrees(),
@@ -144,7 +141,12 @@ pub struct FoundCoefficient {
 }
 
 impl FoundLens {
-    pub(crate) fn new(given: &Camera, found: &LensMeasurement) -> Self {
+    /// The lens where self-calibration found another one than the given camera's.
+    pub(crate) fn of(given: &Camera, found: Option<&CalibrationUpdate>) -> Option<Self> {
+        Some(Self::new(given, found?.lens.as_ref()?))
+    }
+
+    fn new(given: &Camera, found: &LensMeasurement) -> Self {
         let both = found.coefficients.iter().zip(found.coefficients_of(given));
         let coefficients = both.map(|(found, given)| FoundCoefficient {
             name: found.name,

@@ -16,7 +16,7 @@ use std::path::{Path, PathBuf};
 /// A frame, and its reference keyframe.
 type KeptFrame = (FrameEstimate, Option<FrameReference>);
 
-/// Frames per write to disk.
+/// Frames per write to disk: 160 kB, large enough to make writes rare.
 const CHUNK: usize = 256;
 /// Frame numbers kept in memory: more frames than pass before a frame can become a keyframe.
 const NUMBERS: usize = 1024;

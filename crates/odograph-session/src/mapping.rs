@@ -2,6 +2,7 @@
 
 use crate::files;
 use crate::folder::OutputFolder;
+use crate::growing_map_file::GrowingMapFile;
 use crate::kept_frames::KeptFrames;
 use crate::marker_statistics::MarkerStatistics;
 use crate::markers::MarkerWatch;
@@ -10,27 +11,25 @@ use crate::output::RunOutput;
 use crate::plan::RunPlan;
 use crate::statistics::LoopStatistics;
 use crate::timings::{StageTime, Timings};
-use odograph::camera::{Camera, Rig};
 use odograph::error::{Error, Result};
 use odograph::geometry::{GroundPoint, GroundPose, Sim2};
 use odograph::georeference::{Anchor, Georeference};
-use odograph::ground_map::{KeyframeImage, KeyframeImages, MapKeyframe, MountedCamera};
-use odograph::ground_map::{KeyframeStore, MemoryImages};
-use odograph::keyframe::{EdgeKind, KeyframeId, MapEdge};
+use odograph::ground_map::{KeyframeImage, KeyframeImages, MemoryImages};
+use odograph::keyframe::{EdgeKind, KeyframeId};
 use odograph::mosaic::Mosaic;
 use odograph::numerics::median;
 use odograph::odometry::{FrameReference, KeyframeEvent};
-use odograph::slam::{AntennaFix, Bent, Mapper, Stretches};
+use odograph::slam::{AntennaFix, DriftCorrection, KeyframeSpans, Mapper};
 use odograph::trajectory::FrameEstimate;
 use odograph_map::{MapClaim, MapFile, PathFrame};
 use odograph_video::Frame;
-use std::path::{Path, PathBuf};
+use std::path::Path;
 use std::time::Instant;
 
 /// The mapper of a run, and the file that it writes.
 pub struct Mapping {
     mapper: Mapper,
-    file: GrowingFile,
+    file: GrowingMapFile,
     times: Timings,
     /// The markers on the ground, where they are looked for.
     markers: Option<MarkerWatch>,
@@ -38,10 +37,12 @@ pub struct Mapping {
     height_m: f64,
 }
 
-/// Ground sampling distance of the mosaic of a continued map, in ground pixels at the image centre.
+/// Ground sampling distance of the mosaic of a continued map, in ground pixels at the image centre:
+/// a quarter of the pixels, hence about a quarter of the time.
 const COARSER: f64 = 2.0;
 
-/// Largest ratio of the map's keyframes to this run's for which the mosaic is rendered again.
+/// Largest ratio of the map's keyframes to this run's for which the mosaic is rendered again:
+/// larger keeps the picture complete, smaller keeps the end of a short run short.
 const MAX_OLD: usize = 4;
 
 impl Mapping {
@@ -65,7 +66,7 @@ impl Mapping {
                 path.display()
             )));
         }
-        let mut file = GrowingFile {
+        let mut file = GrowingMapFile {
             file: None,
             replaces: map.path().is_none(),
             claim,
@@ -120,7 +121,7 @@ impl Mapping {
             let started = Instant::now();
             self.mapper.take(event, color, &mut self.file)?;
             if !sightings.is_empty() {
-                self.mapper.see(&sightings, &mut self.file)?;
+                self.mapper.add_sightings(&sightings, &mut self.file)?;
             }
             self.times.push(started.elapsed());
         }
@@ -129,8 +130,8 @@ impl Mapping {
 
     /// Whether loop search is suspended until there is time again.
     #[cfg_attr(not(feature = "live"), allow(dead_code))]
-    pub fn hurry(&mut self, hurried: bool) {
-        self.mapper.hurry(hurried);
+    pub fn suspend_loop_search(&mut self, is_suspended: bool) {
+        self.mapper.suspend_loop_search(is_suspended);
     }
 
     /// The pose graph so far.
@@ -145,13 +146,13 @@ impl Mapping {
     }
 
     /// Applies the fused path: frames before and after, and their references, which move with them.
-    pub fn take_over(
+    pub fn apply_fusion(
         &mut self,
         raw: &[FrameEstimate],
         fused: &[FrameEstimate],
         references: &mut [Option<FrameReference>],
     ) {
-        self.mapper.take_over(raw, fused, references);
+        self.mapper.apply_fusion(raw, fused, references);
     }
 
     /// Finishes the map: optimises it, and places it in the survey frame of its control points.
@@ -163,36 +164,41 @@ impl Mapping {
     }
 
     /// Bends the finished map to the positions of a satellite receiver, where these show that it
-    /// has drifted ([`Mapper::bend_to`]).
-    pub fn bend_to(&mut self, fixes: &[AntennaFix], found: &Georeference) -> Option<Bent> {
-        self.mapper.bend_to(fixes, &found.anchor.plane_from_map(), found.spread)
+    /// has drifted ([`Mapper::correct_drift`]).
+    pub fn correct_drift(&mut self, fixes: &[AntennaFix], found: &Georeference) -> Option<DriftCorrection> {
+        self.mapper.correct_drift(fixes, &found.anchor.plane_from_map(), found.spread)
     }
 
     /// Transforms the frames into the frame of the finished map; with the correction of each where
     /// `moves` are requested. Writes no output file. Fails where the frames cannot be read back.
-    pub fn straighten(&mut self, frames: &mut KeptFrames, moves: bool, folder: &Path) -> Result<Straight> {
+    pub fn correct_frames(
+        &mut self,
+        frames: &mut KeptFrames,
+        moves: bool,
+        folder: &Path,
+    ) -> Result<CorrectedFrames> {
         // A new frame of reference is no correction.
         let surveyed = self.markers.as_ref().and_then(|markers| markers.surveyed.as_ref()?.as_ref().ok());
         let frame_moved = surveyed.map(|surveyed| surveyed.survey_from_map);
-        let kept = self.mapper.is_straightened().then(|| KeptFrames::new(folder));
-        let mut straight = Straight { frames: kept, ..Straight::default() };
-        let mut stretches = Stretches::default();
-        if straight.frames.is_some() {
+        let kept = self.mapper.is_corrected().then(|| KeptFrames::new(folder));
+        let mut corrected = CorrectedFrames { frames: kept, ..CorrectedFrames::default() };
+        let mut spans = KeyframeSpans::default();
+        if corrected.frames.is_some() {
             frames.each(|frame, reference| {
-                stretches.push(frame, reference);
+                spans.push(frame, reference);
                 Ok(())
             })?;
         }
-        let mut straightening = stretches.straightening(&self.mapper);
+        let mut correction = spans.correction(&self.mapper);
         frames.each(|before, _| {
-            let after = straightening.next(before.clone());
-            straight.count(before, &after, frame_moved.as_ref(), moves);
-            if let Some(kept) = &mut straight.frames {
+            let after = correction.next(before.clone());
+            corrected.count(before, &after, frame_moved.as_ref(), moves);
+            if let Some(kept) = &mut corrected.frames {
                 kept.push(after, None);
             }
             Ok(())
         })?;
-        Ok(straight)
+        Ok(corrected)
     }
 
     /// Writes the final poses of the keyframes and the path of the run.
@@ -212,7 +218,7 @@ impl Mapping {
         })
     }
 
-    /// What became of the markers, and sentences for people; `None` where none are looked for.
+    /// Statistics of the markers and warnings about them; `None` where none are looked for.
     pub fn marker_statistics(&self) -> Option<(MarkerStatistics, Vec<String>)> {
         let watch = self.markers.as_ref()?;
         let statistics = MarkerStatistics::of(watch, &self.mapper);
@@ -221,7 +227,7 @@ impl Mapping {
     }
 
     /// Effect of the loops on the frames.
-    pub fn statistics(&self, straight: &Straight) -> LoopStatistics {
+    pub fn statistics(&self, corrected: &CorrectedFrames) -> LoopStatistics {
         let closed = self.mapper.closures().len();
         let session = self.mapper.session();
         let map = self.mapper.map();
@@ -230,9 +236,9 @@ impl Mapping {
         let (ahead, left) = self.mapper.turn_per_m();
         LoopStatistics {
             closed: closed as u64,
-            revisited: loops.saturating_sub(closed + self.mapper.marker_ties()) as u64,
-            correction_rms_m: (straight.squares_m2 / straight.posed.max(1) as f64).sqrt(),
-            correction_most_m: straight.most_m,
+            revisited: loops.saturating_sub(closed + self.mapper.marker_edges()) as u64,
+            correction_rms_m: (corrected.squares_m2 / corrected.posed.max(1) as f64).sqrt(),
+            correction_most_m: corrected.most_m,
             turn_per_m: [ahead, left],
             keyframe: StageTime::of(&self.times),
         }
@@ -330,7 +336,7 @@ impl Mapping {
 
     /// Removes the new map file of a run that starts again.
     pub fn discard(self) -> Result<()> {
-        let GrowingFile { file, claim, .. } = self.file;
+        let GrowingMapFile { file, claim, .. } = self.file;
         match file {
             Some(file) => file.close().and_then(|()| claim.map_or(Ok(()), |claim| claim.remove_map())),
             None => Ok(()),
@@ -355,7 +361,7 @@ impl Mapping {
 
 /// Frames in the map frame.
 #[derive(Default)]
-pub struct Straight {
+pub struct CorrectedFrames {
     /// `None` if they are unchanged.
     pub frames: Option<KeptFrames>,
     /// Times of the frames with a pose, each with that pose before and after, where requested.
@@ -366,7 +372,7 @@ pub struct Straight {
     posed: usize,
 }
 
-impl Straight {
+impl CorrectedFrames {
     /// `frame_moved` is from the frame of reference of the frames before to that of those after.
     fn count(
         &mut self,
@@ -383,83 +389,6 @@ impl Straight {
         self.posed += 1;
         if moves {
             self.moves.push((before.time_s, a.pose, b.pose));
-        }
-    }
-}
-
-/// A map file that is created with its first keyframe: a run without one leaves no file.
-struct GrowingFile {
-    file: Option<MapFile>,
-    /// Whether a map of an earlier run may be replaced; permission was checked with the folder.
-    replaces: bool,
-    /// `None` where the file is not to be written.
-    claim: Option<MapClaim>,
-    path: PathBuf,
-    camera: Camera,
-    rig: Rig,
-    source: String,
-    robot: Option<String>,
-    session: u32,
-    /// The new keyframes, where the file is not to be written.
-    kept: Option<MemoryImages>,
-}
-
-impl GrowingFile {
-    fn open(&mut self) -> Result<&mut MapFile> {
-        if let (None, Some(claim)) = (&self.file, &self.claim) {
-            if self.replaces {
-                claim.remove_map()?;
-            }
-            let mut file = MapFile::create_claimed(claim.clone(), &self.camera, &self.rig)?;
-            self.session = self.begin_session(&mut file)?;
-            self.file = Some(file);
-        }
-        match &mut self.file {
-            Some(file) => Ok(file),
-            None => Err(Error::output("the map file is not open")),
-        }
-    }
-
-    fn begin_session(&self, file: &mut MapFile) -> Result<u32> {
-        match &self.robot {
-            // What a robot sends from here is with its own mount.
-            Some(robot) => {
-                let mounted = MountedCamera { camera: self.camera.clone(), rig: self.rig };
-                file.begin_session_by(robot, &self.source, Some(&mounted))
-            }
-            None => file.begin_session(&self.source),
-        }
-    }
-
-    fn set_poses(&mut self, keyframes: &[MapKeyframe]) -> Result<()> {
-        let Some(file) = self.file.as_mut().filter(|_| self.kept.is_none()) else { return Ok(()) };
-        let poses: Vec<_> =
-            keyframes.iter().map(|keyframe| (keyframe.id, keyframe.pose, keyframe.covariance)).collect();
-        file.set_poses(&poses)
-    }
-}
-
-impl KeyframeImages for GrowingFile {
-    fn load(&mut self, keyframe: KeyframeId) -> Result<KeyframeImage> {
-        if let Some(image) = self.kept.as_mut().and_then(|kept| kept.load(keyframe).ok()) {
-            return Ok(image);
-        }
-        self.open()?.load(keyframe)
-    }
-}
-
-impl KeyframeStore for GrowingFile {
-    fn keep(&mut self, keyframe: &MapKeyframe, image: KeyframeImage, ties: &[MapEdge]) -> Result<()> {
-        match &mut self.kept {
-            Some(kept) => kept.keep(keyframe, image, ties),
-            None => self.open()?.add_keyframe(keyframe, &image, ties),
-        }
-    }
-
-    fn tie(&mut self, edge: &MapEdge) -> Result<()> {
-        match &mut self.kept {
-            Some(_) => Ok(()),
-            None => self.open()?.add_edges(std::slice::from_ref(edge)),
         }
     }
 }

@@ -16,7 +16,7 @@ pub struct MarkerStatistics {
     pub family: String,
     /// Number of sightings in keyframes.
     pub sightings: usize,
-    /// Edges between keyframes that they made: loops closed.
+    /// Loop edges between keyframes that show the same marker.
     pub ties: usize,
     /// Median side as seen in the final map over the stated one; `null` without markers.
     pub side_ratio: Option<f64>,
@@ -53,7 +53,7 @@ pub struct LandmarkStatistics {
     pub spread_m: f64,
     /// Number of keyframes that show it.
     pub sightings: usize,
-    /// How many times the camera came to it.
+    /// Number of separate visits of the camera.
     pub visits: usize,
     /// Whether another place has the same number and more sightings.
     pub double: bool,
@@ -64,8 +64,8 @@ pub struct LandmarkStatistics {
     pub rejected: bool,
 }
 
-/// Relative difference of the seen side from the stated one that is worth a word: a printer is
-/// exact to 1 %.
+/// Relative difference of a marker's measured side from the stated one above which a warning is
+/// given. A printer is exact to 1 %.
 const SIDE_OFF: f64 = 0.03;
 
 impl LandmarkStatistics {
@@ -97,7 +97,7 @@ impl MarkerStatistics {
         Self {
             family: watch.family.to_string(),
             sightings: mapper.marker_sightings(),
-            ties: mapper.marker_ties(),
+            ties: mapper.marker_edges(),
             side_ratio: median(&mut ratios),
             find: StageTime::of(&watch.times),
             surveyed: surveyed.is_some(),

@@ -17,12 +17,13 @@ use std::time::Instant;
 /// Largest size of a control file, bytes: a hundred thousand markers.
 const MAX_BYTES: u64 = 4 << 20;
 
-/// Largest relative difference of a marker's side from the stated one: what the height may be off.
-const MOST_OFF: f64 = 0.25;
+/// Largest relative difference of a marker's measured side from the stated one. Larger admits a
+/// height that is further off, smaller rejects more squares that are no markers.
+const MAX_OFF: f64 = 0.25;
 
-/// Smallest side of a marker that is looked for, of that below the camera: what is further away in
-/// a tilted view is smaller.
-const LEAST_SHARE: f64 = 0.4;
+/// Side in the image of the smallest marker that is looked for, as a share of that directly below
+/// the camera. Smaller finds markers farther away in a tilted view, larger takes less time.
+const MIN_SHARE: f64 = 0.4;
 
 /// Looks for markers in keyframes.
 pub struct MarkerWatch {
@@ -81,7 +82,7 @@ impl MarkerWatch {
         let mut sightings = Vec::new();
         let (fx, fy) = self.camera.focal_px();
         let usual_px = self.family.side_m() * fx.min(fy) / new.pose.height_m;
-        for seen in self.finder.find(&new.image, LEAST_SHARE * usual_px) {
+        for seen in self.finder.find(&new.image, MIN_SHARE * usual_px) {
             let sighting = MarkerSighting::new(
                 seen.number as u32,
                 new.id,
@@ -91,7 +92,7 @@ impl MarkerWatch {
                 &new.covariance,
             );
             let Some(sighting) = sighting else { continue };
-            if (sighting.side_m / self.family.side_m() - 1.0).abs() <= MOST_OFF {
+            if (sighting.side_m / self.family.side_m() - 1.0).abs() <= MAX_OFF {
                 sightings.push(sighting);
             } else {
                 self.other_sides_m.push(sighting.side_m);

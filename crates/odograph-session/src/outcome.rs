@@ -1,6 +1,6 @@
 //! The result of a run.
 
-use crate::place::PlaceInMap;
+use crate::place::PoseInMap;
 use crate::resemblance::Resemblance;
 use crate::statistics::RunStatistics;
 use odograph::trajectory::FrameSummary;
@@ -50,7 +50,7 @@ pub struct RunOutcome {
     pub written: Vec<PathBuf>,
     /// The last pose of the camera in the continued map; `None` without such a map, or if none of
     /// it was recognised.
-    pub place: Option<PlaceInMap>,
+    pub place: Option<PoseInMap>,
     /// Similar places of the map, where localization found no certain one.
     pub resemblance: Option<Resemblance>,
 }

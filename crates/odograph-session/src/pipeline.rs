@@ -2,7 +2,7 @@
 //! kept, so any number of threads gives the same bytes.
 
 use crate::folder::OutputFolder;
-use crate::found::{CameraDifference, FixedInImage, FoundLens, FoundMount, FoundReadout};
+use crate::found::{FixedInImage, FoundLens, FoundMount, FoundReadout};
 use crate::kept_frames::KeptFrames;
 use crate::mapping::Mapping;
 use crate::observer::Observer;
@@ -14,9 +14,9 @@ use crate::timings::Timings;
 use crate::views::{MosaicFrames, Posed};
 use odograph::camera::{Camera, Rig};
 use odograph::error::{Error, Result};
-use odograph::mounting::CalibrationMonitor;
 use odograph::odometry::{KeyframeEvent, Odometry};
 use odograph::pose_frame::PoseFrame;
+use odograph::self_calibration::{CameraDifference, CameraMonitor, PassEnd};
 use odograph::trajectory::FrameEstimate;
 use odograph_video::{Frame, Source};
 use std::sync::mpsc;
@@ -59,14 +59,6 @@ pub struct Tracked {
     pub interlaced: bool,
 }
 
-/// How the pipeline ended.
-pub enum Ended {
-    /// At the end of the source.
-    Tracked(Box<Tracked>),
-    /// At a frame where it is certain that the camera differs from the plan.
-    IsAnother(CameraDifference),
-}
-
 /// Processing times of each frame per stage.
 #[derive(Debug, Default)]
 pub struct StageTimes {
@@ -96,47 +88,44 @@ pub fn track(
     source: Source,
     folder: &mut OutputFolder,
     output: &RunOutput,
-    (self_calibration, watches_pattern): (Option<CalibrationMonitor>, bool),
+    monitor: CameraMonitor,
     observer: &dyn Observer,
-) -> Result<Ended> {
+) -> Result<PassEnd<Tracked>> {
     let mut odometry = plan.odometry()?;
     odometry.record_keyframes();
     let mapping = Mapping::new(plan, folder, output)?;
     let views = MosaicFrames::new(&plan.camera, folder.path());
-    let mut tracking = Tracking {
+    let mut tracking = TrackingStage {
         odometry,
-        pattern_may_be_new: watches_pattern,
-        of: plan.pose_frame()?,
+        pose_frame: plan.pose_frame()?,
         frames: KeptFrames::new(folder.path()),
         times: Timings::default(),
         calibration_times: Timings::default(),
-        self_calibration,
-        found: None,
+        monitor,
+        difference: None,
         observer,
         folder,
     };
     observer.tracking_begins(source.info().frame_count);
     let whole = plan.source.start_s.is_none() && plan.source.end_s.is_none();
     let announced = source.info().frame_count.filter(|_| whole);
-    let mut decoding = Decoding { source, times: Timings::default(), observer };
+    let mut decoding = DecodingStage { source, times: Timings::default(), observer };
     let mut ground = MappingStage { views, mapping, unmapped: None, times: Timings::default() };
     let outcome = match output.threads() {
         1 => one_by_one(&mut decoding, &mut tracking, &mut ground),
         threads => side_by_side(&mut decoding, &mut tracking, &mut ground, threads, queue(&plan.camera)),
     };
     observer.tracking_ends();
-    let to_the_end = outcome.is_ok() && tracking.found.is_none() && !observer.is_stop_asked();
-    let at_end =
-        tracking.self_calibration.as_ref().filter(|_| to_the_end).and_then(CalibrationMonitor::at_end);
-    let at_end = at_end.map(|found| CameraDifference::Calibration(Box::new(found)));
-    if let Some(found) = tracking.found.or(at_end) {
+    let to_the_end = outcome.is_ok() && tracking.difference.is_none() && !observer.is_stop_asked();
+    let at_end = if to_the_end { tracking.monitor.at_end() } else { None };
+    if let Some(difference) = tracking.difference.or(at_end) {
         ground.mapping.discard()?;
-        return Ok(Ended::IsAnother(found));
+        return Ok(PassEnd::Differs(difference));
     }
     let MappingStage { views, mapping, unmapped, times: map_times } = ground;
     // An interrupt after the last frame changes no result.
     let interrupted = observer.is_stop_asked() && announced != Some(tracking.frames.count() as u64);
-    Ok(Ended::Tracked(Box::new(Tracked {
+    Ok(PassEnd::Finished(Tracked {
         readout: FoundReadout::of(&plan.camera, &tracking.odometry),
         interlaced: tracking.odometry.is_interlaced(),
         marks: Vec::new(),
@@ -160,13 +149,13 @@ pub fn track(
         unmapped,
         mount: None,
         lens: None,
-    })))
+    }))
 }
 
 /// The three stages in one thread.
 fn one_by_one(
-    decoding: &mut Decoding<'_>,
-    tracking: &mut Tracking<'_>,
+    decoding: &mut DecodingStage<'_>,
+    tracking: &mut TrackingStage<'_>,
     ground: &mut MappingStage,
 ) -> Result<()> {
     while let Some(frame) = decoding.next()? {
@@ -180,8 +169,8 @@ fn one_by_one(
 
 /// The three stages on two or three threads; with two, tracking and mapping share one.
 fn side_by_side(
-    decoding: &mut Decoding<'_>,
-    tracking: &mut Tracking<'_>,
+    decoding: &mut DecodingStage<'_>,
+    tracking: &mut TrackingStage<'_>,
     ground: &mut MappingStage,
     threads: usize,
     queue: usize,
@@ -231,13 +220,13 @@ fn ended() -> Error {
 }
 
 /// Stage one: decodes frames until the end of the source or a request to stop.
-struct Decoding<'a> {
+struct DecodingStage<'a> {
     source: Source,
     times: Timings,
     observer: &'a dyn Observer,
 }
 
-impl Decoding<'_> {
+impl DecodingStage<'_> {
     fn next(&mut self) -> Result<Option<Frame>> {
         if self.observer.is_stop_asked() {
             return Ok(None);
@@ -252,18 +241,16 @@ impl Decoding<'_> {
 }
 
 /// Stage two: tracking.
-struct Tracking<'a> {
+struct TrackingStage<'a> {
     odometry: Odometry,
     /// The frame whose poses are written and reported.
-    of: PoseFrame,
+    pose_frame: PoseFrame,
     frames: KeptFrames,
     times: Timings,
     calibration_times: Timings,
-    self_calibration: Option<CalibrationMonitor>,
-    /// Whether a pattern that the camera adds to its images ends the pass.
-    pattern_may_be_new: bool,
+    monitor: CameraMonitor,
     /// What ends the pass.
-    found: Option<CameraDifference>,
+    difference: Option<CameraDifference>,
     observer: &'a dyn Observer,
     folder: &'a mut OutputFolder,
 }
@@ -275,7 +262,7 @@ struct TrackedFrame {
     events: Vec<KeyframeEvent>,
 }
 
-impl Tracking<'_> {
+impl TrackingStage<'_> {
     /// `None` once it is certain that the camera is different.
     fn next(&mut self, frame: Frame) -> Result<Option<TrackedFrame>> {
         let started = Instant::now();
@@ -284,18 +271,12 @@ impl Tracking<'_> {
         let mut events = self.odometry.take_keyframe_events();
         self.times.push(started.elapsed());
         let started = Instant::now();
-        if self.pattern_may_be_new {
-            self.found = self.odometry.correction().cloned().map(CameraDifference::FixedPattern);
-        }
-        if let (Some(self_calibration), None) = (&mut self.self_calibration, &self.found) {
-            let found = self_calibration.watch(&estimate, &self.odometry);
-            self.found = found.map(|found| CameraDifference::Calibration(Box::new(found)));
-        }
-        if self.found.is_some() {
+        self.difference = self.monitor.watch(&estimate, &self.odometry);
+        if self.difference.is_some() {
             return Ok(None);
         }
         self.calibration_times.push(started.elapsed());
-        let seen = self.of.frame(&estimate);
+        let seen = self.pose_frame.frame(&estimate);
         self.folder.record(&seen)?;
         self.observer.frame(&seen);
         let pose = estimate.ground_pose();

@@ -10,7 +10,7 @@ use std::collections::{BTreeMap, BTreeSet};
 /// Pose of a camera, or of the robot that carries it, at a frame, in the frame of an existing map,
 /// with standard deviations.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize)]
-pub struct PlaceInMap {
+pub struct PoseInMap {
     /// Number of the frame in its source.
     pub frame: u64,
     /// Its time, seconds.
@@ -35,7 +35,7 @@ pub struct PlaceInMap {
     pub session: u32,
 }
 
-impl PlaceInMap {
+impl PoseInMap {
     /// Whether there are earlier sessions.
     pub(crate) fn can_be(mapper: &Mapper) -> bool {
         mapper.map().keyframes.iter().any(|keyframe| keyframe.session != mapper.session())

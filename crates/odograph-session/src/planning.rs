@@ -27,27 +27,12 @@ impl RunBuilder {
         let rig = given.rig(self, observer)?;
         let (source, size) = open(&self.source)?;
         let by_field = matches!(given, GivenCamera::Field(_));
-        let of_map = matches!(self.camera, Some(CameraChoice::OfMap));
         let camera = given.camera(size, rig.height_m)?;
         let camera = match self.readout_s {
             Some(seconds) => camera.with_readout_s(Some(seconds))?,
             None => camera,
         };
-        if (camera.width(), camera.height()) != size {
-            let (frames, calibrated) =
-                (format!("{}x{}", size.0, size.1), format!("{}x{}", camera.width(), camera.height()));
-            let path = &self.source.path;
-            return Err(Error::input(if of_map {
-                format!(
-                    "the frames of {path} are {frames} but the map was made with a camera of {calibrated}; only pictures of that camera can \
-                     be found in it"
-                )
-            } else {
-                format!(
-                    "the frames of {path} are {frames} but the camera is calibrated for {calibrated}; calibrate at the recording's size"
-                )
-            }));
-        }
+        self.check_size(&camera, size)?;
         let mut odometry = OdometryConfig::default();
         odometry.motion.model = match self.motion {
             // A tape measure does not give the lens distortion, and unmodelled distortion looks
@@ -86,6 +71,26 @@ impl RunBuilder {
         // So are an unknown family of markers and unreadable control points.
         MarkerWatch::new(&plan, &plan.camera)?;
         Ok((plan, source))
+    }
+
+    /// Fails if the camera is not calibrated for frames of this size, pixels.
+    fn check_size(&self, camera: &Camera, size: (usize, usize)) -> Result<()> {
+        if (camera.width(), camera.height()) == size {
+            return Ok(());
+        }
+        let (frames, calibrated) =
+            (format!("{}x{}", size.0, size.1), format!("{}x{}", camera.width(), camera.height()));
+        let path = &self.source.path;
+        Err(Error::input(if matches!(self.camera, Some(CameraChoice::OfMap)) {
+            format!(
+                "the frames of {path} are {frames} but the map was made with a camera of {calibrated}; only pictures of that camera can \
+                 be found in it"
+            )
+        } else {
+            format!(
+                "the frames of {path} are {frames} but the camera is calibrated for {calibrated}; calibrate at the recording's size"
+            )
+        }))
     }
 
     /// The antenna of the satellite receiver, where the rig file has it.

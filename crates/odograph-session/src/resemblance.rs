@@ -86,7 +86,7 @@ pub struct AlikePlace {
     pub keyframe: u64,
     /// The session that it is of.
     pub session: u32,
-    /// Matched features weighted by distinctiveness, less those of the best other pose over the
+    /// Matched features weighted by distinctiveness, minus those of the best other pose over the
     /// same keyframe.
     pub evidence: f64,
     /// Matched features.
@@ -95,7 +95,8 @@ pub struct AlikePlace {
     pub shared: usize,
 }
 
-/// Minimum number of features of a keyframe. Not derived; chosen.
+/// Minimum number of features of a picture for a verdict on whether its ground was mapped: fewer
+/// let poor pictures be judged, more leave them without a verdict.
 const MIN_FEATURES: usize = 40;
 
 /// With less evidence no place is listed: pictures of ground outside the map had at most 2.5 (49
@@ -108,19 +109,21 @@ const MIN_EVIDENCE: f64 = 5.0;
 /// them the true place is listed.
 const LOG_ODDS_PER_EVIDENCE: f64 = 0.05;
 
-/// Ground repeats itself where at least so many features, and this part of those in view, are
-/// found again without being evidence.
+/// Ground is called repetitive if at least this number of features, and this share of those in
+/// view, have a match elsewhere that is no evidence for a place. Lower values warn of more floors,
+/// and of some that do not repeat.
 const REPEATED_FEATURES: usize = 20;
 const REPEATED_SHARE: f64 = 0.15;
 
-/// Keyframes of the recording that are looked up, spread over it. Not derived; chosen.
+/// Number of keyframes of the recording that are looked up, spread over it: more find more similar
+/// places and take longer.
 const MAX_LOOKED_UP: usize = 16;
 
-/// Keyframes of the map that are returned. Not derived; chosen.
+/// Number of similar places that are reported: a list for people.
 const MAX_HYPOTHESES: usize = 8;
 
-/// Places closer than this fraction of the camera's height, and with headings closer than this
-/// angle, are merged. Not derived; chosen.
+/// Hypotheses closer than this fraction of the camera's height, and with headings closer than this
+/// angle, are one place: larger merges neighbouring places, smaller lists one place twice.
 const SAME_PLACE_HEIGHTS: f64 = 0.25;
 const SAME_HEADING_RAD: f64 = 0.3;
 

@@ -1,18 +1,20 @@
 //! A run over a recording: opened, followed, finished.
 
 use crate::builder::RunBuilder;
-use crate::camera_watch::CameraWatch;
 use crate::earth::GnssRecord;
 use crate::finish::{Ending, finish};
 use crate::folder::OutputFolder;
+use crate::found::{FoundLens, FoundMount};
 use crate::observer::Observer;
 use crate::outcome::RunOutcome;
 use crate::output::RunOutput;
-use crate::pipeline::{self, Ended, Tracked};
+use crate::passes::{assume, calibration_of, examine_beginning};
+use crate::pipeline::{self, Tracked};
 use crate::plan::RunPlan;
 use crate::reference;
 use crate::report::RunReporter;
 use odograph::error::{Error, Result};
+use odograph_map::MapFile;
 use odograph_video::{Source, SourceInfo};
 use std::fmt;
 use std::fs;
@@ -144,30 +146,35 @@ impl Run {
     }
 }
 
-/// Tracks the whole source. Starts again with a corrected plan if mount or lens are found to differ
-/// from it.
+/// Tracks the whole source. Starts again with a corrected plan if mount, lens, readout time or
+/// fixed pattern are found to differ from it.
 fn track(
     plan: &mut RunPlan,
-    mut source: Source,
+    source: Source,
     folder: &mut OutputFolder,
     output: &RunOutput,
     observer: &dyn Observer,
 ) -> Result<Tracked> {
     folder.begin(plan, output)?;
     plan.take_lens_of(output.map.path())?;
-    let mut watch = CameraWatch::new(plan);
-    watch.look_first(plan, &output.map, observer)?;
-    loop {
-        let watched = (watch.watch(plan), watch.watches_pattern(plan));
-        match pipeline::track(plan, source, folder, output, watched, observer)? {
-            Ended::Tracked(tracked) => {
-                return Ok(Tracked { mount: watch.mount(), lens: watch.lens(), ..*tracked });
-            }
-            Ended::IsAnother(found) => {
-                watch.take(found, plan);
-                folder.begin_again()?;
-                source = plan.source.open()?;
-            }
-        }
+    let (given_camera, given_rig) = (plan.camera.clone(), plan.rig);
+    let mut calibration = calibration_of(plan);
+    if output.map.path().is_some_and(MapFile::is_there) {
+        examine_beginning(plan, &mut calibration, observer)?;
     }
+    let mut source = Some(source);
+    let tracked = calibration.track(|camera| {
+        assume(plan, camera);
+        let source = match source.take() {
+            Some(source) => source,
+            None => {
+                folder.begin_again()?;
+                plan.source.open()?
+            }
+        };
+        pipeline::track(plan, source, folder, output, camera.monitor(), observer)
+    })?;
+    let found = calibration.found();
+    let (mount, lens) = (FoundMount::of(&given_rig, found), FoundLens::of(&given_camera, found));
+    Ok(Tracked { mount, lens, ..tracked })
 }

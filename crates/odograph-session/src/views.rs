@@ -28,11 +28,13 @@ pub struct Posed {
     pub is_keyframe: bool,
 }
 
-/// New fraction of a frame for which it waits for the next keyframe, and that at which it is kept
-/// then: in a curve that is the strip on its outer side. Not derived; chosen.
+/// Share of a frame's footprint that must be new for the frame to wait for the next keyframe, and
+/// the share still new after that keyframe for the frame to be kept. In a curve this is the strip
+/// on the outer side. Lower values leave fewer holes in the mosaic and need more disk space.
 const WAITS_WHERE_NEW: f64 = 0.08;
 const KEPT_WHERE_NEW: f64 = 0.01;
-/// Most frames waiting for a keyframe; more mean that none is coming. Not derived; chosen.
+/// Largest number of frames that wait for a keyframe: more need more memory, fewer decide before
+/// the keyframe has come.
 const MAX_WAITING: usize = 8;
 
 /// The frames of the mosaic.

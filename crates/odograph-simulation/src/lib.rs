@@ -13,6 +13,7 @@
 //! With a rolling shutter every row has the pose of its own exposure time. On uneven ground every
 //! ray is traced to its first intersection.
 
+mod applied_effects;
 mod board_scene;
 mod effects;
 mod fixtures;
@@ -23,7 +24,9 @@ mod ordinary;
 mod path;
 mod patterns;
 mod photograph;
+mod render_block;
 mod renderer;
+mod scene;
 mod sensors;
 mod sequence;
 mod sway;

@@ -15,7 +15,7 @@ const CONNECT_PATIENCE: Duration = Duration::from_secs(5);
 /// Time limit for a request and its answer.
 const ANSWER_PATIENCE: Duration = Duration::from_secs(60);
 /// Longest answer, bytes.
-const MOST_ANSWER: usize = 64 << 20;
+const MAX_ANSWER: usize = 64 << 20;
 
 /// Where a site is, and the token that it requires.
 #[derive(Clone, PartialEq, Eq)]
@@ -78,9 +78,9 @@ impl std::str::FromStr for SiteAddress {
 /// Why a request has no answer.
 #[derive(Debug)]
 pub enum NoAnswer {
-    /// The site cannot be reached or is not able to answer now: it is worth another try.
+    /// The site cannot be reached or is not able to answer now: the request may be repeated.
     Unreachable(String),
-    /// The site has other records of the session than was thought.
+    /// The site has other records of the session than the client assumed.
     OutOfOrder,
     /// The site refuses.
     Refused(String),
@@ -205,7 +205,7 @@ impl SiteClient {
                 Err(_) if !bytes.is_empty() => break,
                 Err(error) => return Err(sent.err().unwrap_or(error)),
             }
-            if bytes.len() > MOST_ANSWER {
+            if bytes.len() > MAX_ANSWER {
                 return Err(io::Error::other("the answer is too long"));
             }
         }
@@ -215,11 +215,11 @@ impl SiteClient {
             Ok(httparse::Status::Complete(length)) => length,
             _ => return Err(io::Error::other("the answer is not HTTP, or is cut off")),
         };
-        let told = answer.headers.iter().find(|header| header.name.eq_ignore_ascii_case("content-length"));
-        let told =
-            told.and_then(|header| std::str::from_utf8(header.value).ok()?.trim().parse::<usize>().ok());
+        let stated = answer.headers.iter().find(|header| header.name.eq_ignore_ascii_case("content-length"));
+        let stated =
+            stated.and_then(|header| std::str::from_utf8(header.value).ok()?.trim().parse::<usize>().ok());
         let body = &bytes[length..];
-        match told.and_then(|told| body.get(..told)) {
+        match stated.and_then(|stated| body.get(..stated)) {
             Some(body) => Ok((answer.code.unwrap_or(0), body.to_vec())),
             None => Err(io::Error::other("the answer is cut off")),
         }

@@ -150,7 +150,7 @@ impl FleetMap {
         Ok((Self { store, mapper, sessions }, any))
     }
 
-    /// How the metres of a session compare with those of the map.
+    /// Scale of a session relative to the map.
     pub fn scale(&self, mapped: &MappedSession) -> Option<SessionScale> {
         self.mapper.scale(mapped.session)
     }
@@ -237,7 +237,7 @@ impl KeyframeStore for MapStore {
         }
     }
 
-    fn tie(&mut self, edge: &MapEdge) -> Result<()> {
+    fn add_edge(&mut self, edge: &MapEdge) -> Result<()> {
         self.file.add_edges(std::slice::from_ref(edge))
     }
 }

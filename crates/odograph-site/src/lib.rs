@@ -15,6 +15,7 @@ mod record;
 mod records;
 mod fleet_map;
 mod published;
+mod merging;
 mod site;
 mod server;
 mod client;

@@ -1,8 +1,8 @@
 //! A robot's link to its site: a thread that sends what is in the robot's map, as far as the
-//! network allows, and hears where the robot is in the site's.
+//! network allows, and receives the pose of the robot in the site's map.
 
 use crate::client::{NoAnswer, SiteClient};
-use crate::protocol::{MOST_BODY, SessionDescription, SiteStatus};
+use crate::protocol::{MAX_BODY, SessionDescription, SiteStatus};
 use crate::record::Record;
 use odograph::error::{Error, Result};
 use odograph::ground_map::MountedCamera;
@@ -14,15 +14,15 @@ use std::sync::{Arc, Condvar, Mutex, PoisonError};
 use std::thread::{self, JoinHandle};
 use std::time::{Duration, Instant};
 
-/// Pause between two looks into the map.
+/// Interval at which the map is polled for new records: how much later the site has them.
 const LOOKS_EVERY: Duration = Duration::from_millis(500);
 /// Shortest and longest pause after a failure; each is twice the one before.
 const FIRST_PAUSE: Duration = Duration::from_millis(500);
 const LONGEST_PAUSE: Duration = Duration::from_secs(15);
-/// Most records that are read at once.
+/// Maximum number of records read at once: bounds memory, and what is sent again after a failure.
 const AT_ONCE: usize = 16;
 
-/// What became of the records.
+/// State of the transmission.
 #[derive(Debug, Clone, PartialEq, Default)]
 pub struct LinkReport {
     /// Number of records that the site has acknowledged since the link began.
@@ -31,7 +31,7 @@ pub struct LinkReport {
     pub complete: bool,
     /// Why nothing is sent at the moment.
     pub problem: Option<String>,
-    /// What the site said last about the newest session.
+    /// Last answer of the site about the newest session.
     pub status: Option<SiteStatus>,
 }
 
@@ -64,7 +64,7 @@ impl SiteLink {
     /// Begins to send the sessions of a robot in a map to a site. The map need not be there yet.
     ///
     /// # Errors
-    /// If the robot cannot be called so, or the thread cannot be started.
+    /// If the name of the robot is invalid, or the thread cannot be started.
     pub fn start(map: &Path, robot: &str, client: SiteClient, listening: Listening) -> Result<Self> {
         odograph_map::check_name(robot)?;
         let shared = Arc::new(LinkState::default());
@@ -89,7 +89,7 @@ impl SiteLink {
         self.shared.lost.store(lost, Ordering::Relaxed);
     }
 
-    /// What became of the records so far.
+    /// State of the transmission so far.
     pub fn report(&self) -> LinkReport {
         self.shared.report.lock().unwrap_or_else(PoisonError::into_inner).clone()
     }
@@ -131,7 +131,7 @@ impl Drop for SiteLink {
 
 /// What ends a round of sending.
 enum Stopped {
-    /// Worth another try.
+    /// May be repeated.
     ForNow(String),
     /// The site or the map does not allow it.
     ForGood(String),
@@ -157,7 +157,7 @@ struct Current {
     ended: bool,
     /// Records that the site has not acknowledged.
     waiting: Vec<Record>,
-    /// Whether the site has other records than was thought.
+    /// Whether the site has other records than assumed.
     is_misplaced: bool,
 }
 
@@ -196,13 +196,10 @@ impl Sending {
         if !MapFile::is_there(&self.map) {
             return Ok(());
         }
+        let failed = |error: Error| Stopped::ForNow(error.to_string());
         // The file is open only while it is read, so that its writer can close it. It may be about
         // to be replaced.
-        let open = |path: &Path| MapFile::open_read_only(path).map_err(|e| Stopped::ForNow(e.to_string()));
-        let sessions = {
-            let file = open(&self.map)?;
-            file.sessions().map_err(|error| Stopped::ForNow(error.to_string()))?
-        };
+        let sessions = MapFile::open_read_only(&self.map).and_then(|file| file.sessions()).map_err(failed)?;
         let own: Vec<_> = sessions
             .into_iter()
             .filter_map(|session| Some((session.origin?, session.id, session.source)))
@@ -216,32 +213,7 @@ impl Sending {
                 continue;
             }
             if self.current.as_ref().is_none_or(|current| current.origin != origin) {
-                let file = open(&self.map)?;
-                let mounted = match file.other_cameras().get(&session) {
-                    Some(mounted) => mounted.clone(),
-                    None => MountedCamera { camera: file.camera().clone(), rig: *file.rig() },
-                };
-                let description = SessionDescription {
-                    robot: origin.robot.clone(),
-                    key: origin.key.clone(),
-                    source,
-                    camera: mounted.camera,
-                    rig: mounted.rig,
-                };
-                let outbox =
-                    Outbox::new(&file, &origin).map_err(|error| Stopped::ForNow(error.to_string()))?;
-                drop(file);
-                let status = self.client.describe(&description).map_err(|why| self.stopped(&why))?;
-                let (last, ended) = (status.acknowledged, status.ended);
-                self.heard(status, 0);
-                self.current = Some(Current {
-                    origin: origin.clone(),
-                    outbox,
-                    last,
-                    ended,
-                    waiting: Vec::new(),
-                    is_misplaced: false,
-                });
+                self.begin(&origin, session, source)?;
             }
             while self.send_some(is_over)? {
                 if self.is_ended() {
@@ -256,11 +228,41 @@ impl Sending {
         Ok(())
     }
 
+    /// Describes a session to the site and makes it the current one.
+    fn begin(
+        &mut self,
+        origin: &SessionOrigin,
+        session: u32,
+        source: String,
+    ) -> std::result::Result<(), Stopped> {
+        let failed = |error: Error| Stopped::ForNow(error.to_string());
+        let file = MapFile::open_read_only(&self.map).map_err(failed)?;
+        let mounted = match file.other_cameras().get(&session) {
+            Some(mounted) => mounted.clone(),
+            None => MountedCamera { camera: file.camera().clone(), rig: *file.rig() },
+        };
+        let description = SessionDescription {
+            robot: origin.robot.clone(),
+            key: origin.key.clone(),
+            source,
+            camera: mounted.camera,
+            rig: mounted.rig,
+        };
+        let outbox = Outbox::new(&file, origin).map_err(failed)?;
+        drop(file);
+        let status = self.client.describe(&description).map_err(|why| self.stopped(&why))?;
+        let (last, ended) = (status.acknowledged, status.ended);
+        self.heard(status, 0);
+        let (waiting, is_misplaced) = (Vec::new(), false);
+        self.current = Some(Current { origin: origin.clone(), outbox, last, ended, waiting, is_misplaced });
+        Ok(())
+    }
+
     /// Sends some records of the current session. Returns whether there may be more.
     fn send_some(&mut self, is_over: bool) -> std::result::Result<bool, Stopped> {
         let Some(mut current) = self.current.take() else { return Ok(false) };
         let more = self.send_some_of(&mut current, is_over);
-        // The map is read again from where the site is.
+        // The map is read again from the last record that the site has.
         self.current = (!current.is_misplaced).then_some(current);
         more
     }
@@ -296,7 +298,7 @@ impl Sending {
         let mut sent = 0;
         for record in &current.waiting {
             let bytes = record.to_bytes().map_err(|error| Stopped::ForGood(error.to_string()))?;
-            if sent > 0 && body.len() + bytes.len() > MOST_BODY {
+            if sent > 0 && body.len() + bytes.len() > MAX_BODY {
                 break;
             }
             body.extend(bytes);

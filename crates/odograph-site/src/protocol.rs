@@ -1,4 +1,4 @@
-//! What robots and site say to each other, as JSON.
+//! Messages between robots and site, as JSON.
 
 use odograph::camera::{Camera, Rig};
 use odograph::error::{Error, Result};
@@ -6,9 +6,9 @@ use odograph_map::SessionOrigin;
 use serde::{Deserialize, Serialize};
 
 /// Largest body of a request with records, bytes.
-pub const MOST_BODY: usize = 16 << 20;
+pub const MAX_BODY: usize = 16 << 20;
 /// Longest description of a session, bytes.
-pub const MOST_DESCRIPTION: usize = 16 << 10;
+pub const MAX_DESCRIPTION: usize = 16 << 10;
 
 /// A session as its robot describes it before the first record.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
@@ -44,18 +44,18 @@ impl SessionDescription {
     }
 }
 
-/// What the site makes of a robot.
+/// State of a robot at the site.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default, Serialize, Deserialize)]
 #[serde(rename_all = "lowercase")]
 pub enum RobotState {
     /// Its records are part of the map.
     #[default]
     Active,
-    /// The same, whatever its metres are: a person says so.
+    /// The same whatever its scale is, by the decision of a person.
     Trusted,
-    /// Its metres differ from those of the map: its records are kept, but not part of the map.
+    /// Its scale differs from the map's: its records are kept, but are not part of the map.
     Quarantined,
-    /// A person took its records out of the map; they are kept.
+    /// A person has removed its records from the map; they are kept.
     Withdrawn,
 }
 
@@ -100,7 +100,7 @@ pub struct MapFromOdom {
     pub keyframe: u64,
 }
 
-/// What the site answers to a robot.
+/// Answer of the site to a robot.
 #[derive(Debug, Clone, PartialEq, Default, Serialize, Deserialize)]
 pub struct SiteStatus {
     /// Number of the last record of the session that is on the site's disk.

@@ -1,18 +1,18 @@
-//! What the merging thread has found, for the threads that answer.
+//! Results of the merging thread, for the threads that answer requests.
 
 use crate::fleet_map::FleetMap;
 use crate::protocol::{MapFromOdom, RobotState, SiteStatus};
-use crate::records::Records;
+use crate::records::RecordStore;
 use odograph::error::Result;
 use odograph_map::SessionOrigin;
 use serde_json::{Value, json};
 use std::collections::BTreeMap;
 use std::time::{Duration, Instant};
 
-/// A robot that has sent nothing for so long is shown as silent.
+/// Time without a message after which a robot is shown as silent.
 const SILENT_AFTER: Duration = Duration::from_secs(30);
-/// Most points of a session's path on the page.
-const MOST_POINTS: usize = 4000;
+/// Maximum number of points of a session's path on the page; longer paths are thinned.
+const MAX_POINTS: usize = 4000;
 
 /// The state of the site as of the last merged record.
 #[derive(Debug, Default)]
@@ -27,7 +27,7 @@ pub struct Published {
     heard: BTreeMap<SessionOrigin, (Instant, bool)>,
     /// Number of renderings of the mosaic.
     pub mosaic: u64,
-    /// What keeps the site from merging.
+    /// The error that stopped merging, if any.
     pub failure: Option<String>,
 }
 
@@ -47,7 +47,7 @@ struct PublishedSession {
 
 impl Published {
     /// Takes over the state of store and map.
-    pub fn update(&mut self, records: &Records, map: Option<&FleetMap>) -> Result<()> {
+    pub fn update(&mut self, records: &RecordStore, map: Option<&FleetMap>) -> Result<()> {
         self.version = records.version()?;
         self.robots =
             records.robots()?.into_iter().map(|(name, state, reason)| (name, (state, reason))).collect();
@@ -62,7 +62,7 @@ impl Published {
             let own = mapped.map(|(map, _)| map.map().keyframes.iter());
             let own: Vec<_> =
                 own.into_iter().flatten().filter(|keyframe| Some(keyframe.session) == number).collect();
-            let every = own.len().div_ceil(MOST_POINTS).max(1);
+            let every = own.len().div_ceil(MAX_POINTS).max(1);
             // The last one is always shown: that is where the robot is.
             let shown = own.iter().rev().step_by(every).rev();
             let millimetres = |value: f64| (1000.0 * value).round() / 1000.0;

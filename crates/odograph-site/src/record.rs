@@ -1,4 +1,4 @@
-//! A record on its way and in the store: the length of a head (4 bytes, little-endian), the head as
+//! A record as it is sent and stored: the length of a head (4 bytes, little-endian), the head as
 //! JSON, the length of an image (4 bytes), the image as JPEG.
 
 use nalgebra::{Matrix4, Matrix6, Vector4};
@@ -9,12 +9,12 @@ use odograph_map::{OutgoingRecord, StoredImage};
 use serde::{Deserialize, Serialize};
 
 /// Longest head, bytes.
-const MOST_HEAD: usize = 1 << 20;
+const MAX_HEAD: usize = 1 << 20;
 /// Largest image, bytes.
-const MOST_IMAGE: usize = 12 << 20;
+const MAX_IMAGE: usize = 12 << 20;
 /// Most edges of a record.
-const MOST_EDGES: usize = 4096;
-/// Largest coordinate, metres, and time, seconds.
+const MAX_EDGES: usize = 4096;
+/// Largest accepted coordinate, metres, and time, seconds: a time in nanoseconds is beyond it.
 const FARTHEST: f64 = 1e12;
 
 /// A record of a session.
@@ -107,7 +107,7 @@ impl Record {
         let head = serde_json::to_vec(&self.head)
             .map_err(|error| Error::input(format!("a record cannot be written: {error}")))?;
         let image = self.image.as_ref().map_or(&[][..], |image| &image.jpeg);
-        if head.len() > MOST_HEAD || image.len() > MOST_IMAGE || self.head.edges.len() > MOST_EDGES {
+        if head.len() > MAX_HEAD || image.len() > MAX_IMAGE || self.head.edges.len() > MAX_EDGES {
             return Err(Error::input(format!(
                 "keyframe {} is larger than a record may be",
                 self.head.number
@@ -125,8 +125,8 @@ impl Record {
     pub fn split(mut body: &[u8]) -> Result<Vec<&[u8]>> {
         let mut records = Vec::new();
         while !body.is_empty() {
-            let (head, rest) = part(body, MOST_HEAD)?;
-            let (image, rest) = part(rest, MOST_IMAGE)?;
+            let (head, rest) = part(body, MAX_HEAD)?;
+            let (image, rest) = part(rest, MAX_IMAGE)?;
             let (record, _) = body.split_at(8 + head.len() + image.len());
             records.push(record);
             body = rest;
@@ -136,8 +136,8 @@ impl Record {
 
     /// Reads a record. Fails, with what is wrong, if it is none.
     pub fn from_bytes(bytes: &[u8]) -> Result<Self> {
-        let (head, rest) = part(bytes, MOST_HEAD)?;
-        let (image, rest) = part(rest, MOST_IMAGE)?;
+        let (head, rest) = part(bytes, MAX_HEAD)?;
+        let (image, rest) = part(rest, MAX_IMAGE)?;
         if !rest.is_empty() {
             return Err(malformed("is longer than it says"));
         }
@@ -145,7 +145,7 @@ impl Record {
             .map_err(|error| malformed(&format!("has a head that is none: {error}")))?;
         let number = head.number;
         let sound = head.after.is_none_or(|after| after < number) && number < u64::MAX >> 2;
-        if !sound || head.edges.len() > MOST_EDGES {
+        if !sound || head.edges.len() > MAX_EDGES {
             return Err(malformed("has a number that it cannot have, or too many edges"));
         }
         let (last, is_end) = (number, head.keyframe.is_none());

@@ -40,12 +40,12 @@ pub struct StoredSession {
 
 /// The records of a site.
 #[derive(Debug)]
-pub struct Records {
+pub struct RecordStore {
     connection: Connection,
     path: PathBuf,
 }
 
-impl Records {
+impl RecordStore {
     /// Opens the store in a file, or makes it. Fails if it cannot be read or written. Only the
     /// holder of the site's claim may do so.
     pub fn open(path: &Path) -> Result<Self> {
@@ -198,7 +198,7 @@ impl Records {
             .map_err(|error| Error::input(format!("{}: record {sequence}: {error}", self.path.display())))
     }
 
-    /// All robots, with what the site makes of them and why.
+    /// All robots, with their state and its reason.
     pub fn robots(&self) -> Result<Vec<(String, RobotState, Option<String>)>> {
         let rows: Vec<(String, String, Option<String>)> = self
             .connection
@@ -213,7 +213,7 @@ impl Records {
         rows.into_iter().map(named).collect()
     }
 
-    /// Sets what the site makes of a robot. Returns whether there is such a robot.
+    /// Sets the state of a robot. Returns whether there is such a robot.
     pub fn set_robot(&mut self, name: &str, state: RobotState, reason: Option<&str>) -> Result<bool> {
         self.connection
             .execute(

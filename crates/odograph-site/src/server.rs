@@ -1,8 +1,8 @@
 //! The site's web server: what robots send, what it answers, and the page.
 
-use crate::protocol::{MOST_BODY, MOST_DESCRIPTION, RobotState, SessionDescription, SiteStatus};
+use crate::protocol::{MAX_BODY, MAX_DESCRIPTION, RobotState, SessionDescription, SiteStatus};
 use crate::records::NotStored;
-use crate::site::{Refused, Site};
+use crate::site::{RequestRefusal, Site};
 use odograph::error::Result;
 use odograph_live::server::access::{Access, AccessVerdict};
 use odograph_live::server::http::{self, Answer, HttpRefusal, Method, Request, RequestReader};
@@ -15,10 +15,10 @@ use std::sync::Arc;
 
 /// The port of a site.
 pub const DEFAULT_PORT: u16 = 8137;
-/// Most connections; a robot has one at a time.
-const MOST_CONNECTIONS: usize = 64;
-/// Most pixels of the mosaic on the page.
-const MOST_PIXELS: usize = 4 << 20;
+/// Maximum number of connections; a robot needs one at a time.
+const MAX_CONNECTIONS: usize = 64;
+/// Maximum number of pixels of the mosaic on the page; a larger mosaic is shown coarser.
+const MAX_PIXELS: usize = 4 << 20;
 
 const JSON: &str = "application/json";
 const NOT_FOUND: HttpRefusal = HttpRefusal(404, "Not Found");
@@ -39,7 +39,7 @@ pub struct SiteServer {
 
 /// What the threads of all connections share.
 #[derive(Debug)]
-struct ServerState {
+struct SiteServerState {
     site: Arc<Site>,
     access: Access,
 }
@@ -52,9 +52,9 @@ impl SiteServer {
     /// # Errors
     /// If the address is not available, or can be reached by others and there is no token.
     pub fn start(address: SocketAddr, site: Arc<Site>, token: Option<String>) -> Result<Self> {
-        let state = ServerState { site, access: Access::new(token.clone()) };
+        let state = SiteServerState { site, access: Access::new(token.clone()) };
         let serve = move |connection: &Connection, stream: TcpStream| serve(&state, connection, stream);
-        let listener = Listener::start(address, token.is_some(), MOST_CONNECTIONS, serve)?;
+        let listener = Listener::start(address, token.is_some(), MAX_CONNECTIONS, serve)?;
         Ok(Self { listener, token })
     }
 
@@ -71,14 +71,14 @@ impl SiteServer {
 }
 
 /// Serves one connection: requests in sequence.
-fn serve(state: &ServerState, connection: &Connection, stream: TcpStream) -> io::Result<()> {
+fn serve(state: &SiteServerState, connection: &Connection, stream: TcpStream) -> io::Result<()> {
     stream.set_nodelay(true)?;
     let mut reader = RequestReader::new(stream);
     let admit = |request: &Request| match state.access.judge(request) {
         // Nothing of a stranger's body is read.
         AccessVerdict::Denied => Err(HttpRefusal(403, "Forbidden")),
-        _ if request.path.starts_with("/records/") => Ok(MOST_BODY),
-        _ => Ok(MOST_DESCRIPTION),
+        _ if request.path.starts_with("/records/") => Ok(MAX_BODY),
+        _ => Ok(MAX_DESCRIPTION),
     };
     while !connection.is_ended() {
         let request = match reader.next_admitted(&admit) {
@@ -94,7 +94,7 @@ fn serve(state: &ServerState, connection: &Connection, stream: TcpStream) -> io:
     Ok(())
 }
 
-fn answer(state: &ServerState, request: &Request) -> Answer {
+fn answer(state: &SiteServerState, request: &Request) -> Answer {
     let verdict = state.access.judge(request);
     match (verdict, request.method, request.path.as_str()) {
         (AccessVerdict::Denied, ..) => Answer::refusal(HttpRefusal(403, "Forbidden")),
@@ -123,7 +123,7 @@ fn get(site: &Site, path: &str) -> Answer {
 /// The mosaic, with its placement in headers: metres of a pixel, and where the middle of its upper
 /// left pixel is.
 fn mosaic(site: &Site) -> Answer {
-    let picture = match site.mosaic(MOST_PIXELS) {
+    let picture = match site.mosaic(MAX_PIXELS) {
         Ok(Some(picture)) => picture,
         Ok(None) => return Answer::nothing(),
         Err(_) => return Answer::refusal(NOT_FOUND),
@@ -157,7 +157,7 @@ fn post(site: &Site, request: &Request, path: &str) -> Answer {
         let lost = request.query_value("lost") == Some("true");
         return match origin.validated() {
             Ok(origin) => status(site.take(&origin, &request.body, lost)),
-            Err(error) => status(Err(Refused::Malformed(error))),
+            Err(error) => status(Err(RequestRefusal::Malformed(error))),
         };
     }
     if let Some((robot, action)) = path.strip_prefix("/robots/").and_then(|rest| rest.split_once('/')) {
@@ -176,22 +176,22 @@ fn post(site: &Site, request: &Request, path: &str) -> Answer {
     Answer::refusal(NOT_FOUND)
 }
 
-fn status(outcome: std::result::Result<SiteStatus, Refused>) -> Answer {
+fn status(outcome: std::result::Result<SiteStatus, RequestRefusal>) -> Answer {
     match outcome {
         Ok(status) => Answer::ok(JSON, json!(status).to_string()),
-        Err(Refused::Malformed(error)) => problem(422, "Unprocessable Content", &error.to_string()),
-        Err(Refused::NotStored(NotStored::Unknown)) => {
+        Err(RequestRefusal::Malformed(error)) => problem(422, "Unprocessable Content", &error.to_string()),
+        Err(RequestRefusal::NotStored(NotStored::Unknown)) => {
             problem(404, "Not Found", "the session has not been described")
         }
-        Err(Refused::NotStored(NotStored::OutOfOrder(last))) => conflict(&json!({
+        Err(RequestRefusal::NotStored(NotStored::OutOfOrder(last))) => conflict(&json!({
             "problem": "a record does not follow the last one that is stored",
             "acknowledged": last,
         })),
-        Err(Refused::NotStored(NotStored::Conflict(number))) => conflict(&json!({
+        Err(RequestRefusal::NotStored(NotStored::Conflict(number))) => conflict(&json!({
             "problem": format!("record {number} is stored already and is another: does a second robot have the same name?"),
             "differs": number,
         })),
-        Err(Refused::NotStored(NotStored::Failed(error))) => {
+        Err(RequestRefusal::NotStored(NotStored::Failed(error))) => {
             problem(503, "Service Unavailable", &error.to_string())
         }
     }

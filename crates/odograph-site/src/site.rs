@@ -1,69 +1,31 @@
 //! A site: the records of its robots, and a thread that makes the map of them.
 
-use crate::fleet_map::FleetMap;
+use crate::merging::{Merger, SiteState, Work};
 use crate::protocol::{RobotState, SessionDescription, SiteStatus};
-use crate::published::Published;
 use crate::record::Record;
-use crate::records::{NotStored, Records, StoredSession};
-use odograph::error::{Error, ErrorKind, Result};
-use odograph::slam::SessionScale;
+use crate::records::{NotStored, RecordStore, StoredSession};
+use odograph::error::{Error, Result};
 use odograph_map::{MapClaim, MapFile, SessionOrigin};
 use serde_json::Value;
-use std::collections::BTreeMap;
 use std::fs;
 use std::path::{Path, PathBuf};
-use std::sync::atomic::{AtomicBool, Ordering};
-use std::sync::{Arc, Condvar, Mutex, MutexGuard, PoisonError};
+use std::sync::atomic::Ordering;
+use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
 use std::thread::{self, JoinHandle};
-use std::time::{Duration, Instant};
-
-/// Most records that are merged before their effect is published.
-const AT_ONCE: usize = 16;
-/// Time between two publications while records are merged.
-const PUBLISHED_EVERY: Duration = Duration::from_millis(500);
-/// Pause without records after which the map is optimised and written.
-const SETTLED_AFTER: Duration = Duration::from_secs(1);
-/// Pause after which it is seen whether the mosaic is due.
-const IDLE: Duration = Duration::from_secs(5);
-/// Shortest time between two renderings of the mosaic, and between them in durations of the last.
-const RENDERED_EVERY: Duration = Duration::from_secs(20);
-const RENDERING_REST: u32 = 9;
-/// Difference of scale from that of the map that is tolerated: a height is measured no better.
-const TOLERATED_SCALE: f64 = 0.01;
-/// A difference of scale counts if it is this many standard deviations.
-const CERTAIN: f64 = 4.0;
 
 /// One map and its robots. The map is merged in a thread of its own, which ends when the site is
 /// dropped.
 #[derive(Debug)]
 pub struct Site {
     folder: PathBuf,
-    records: Mutex<Records>,
+    records: Mutex<RecordStore>,
     shared: Arc<SiteState>,
     merger: Mutex<Option<JoinHandle<()>>>,
 }
 
-#[derive(Debug, Default)]
-struct SiteState {
-    published: Mutex<Published>,
-    work: Mutex<Work>,
-    changed: Condvar,
-    ended: AtomicBool,
-}
-
-/// What the merging thread is to do.
-#[derive(Debug, Default)]
-struct Work {
-    records: bool,
-    robots: bool,
-    /// Whether everything that came before is in the map and the map is on disk.
-    settled: bool,
-    failed: bool,
-}
-
 /// Why a request of a robot is refused.
 #[derive(Debug)]
-pub enum Refused {
+pub enum RequestRefusal {
     /// What it sent is not acceptable.
     Malformed(Error),
     /// Its records do not follow the last one, or contradict what is stored.
@@ -88,19 +50,12 @@ impl Site {
                 folder.display()
             )));
         }
-        let records = Records::open(&path)?;
-        let mut merger = Merger {
-            records: Records::open(&path)?,
-            map: FleetMap::open(&claim)?,
-            claim,
-            sessions: BTreeMap::new(),
-            sequence: 0,
-            published: None,
-        };
+        let records = RecordStore::open(&path)?;
+        let mut merger = Merger::open(&path, claim)?;
         let shared = Arc::new(SiteState::default());
         // What was acknowledged and not merged when the site ended.
         shared.lock_work().records = true;
-        shared.lock_published().update(&merger.records, merger.map.as_ref())?;
+        merger.show(&shared)?;
         let thread = thread::Builder::new()
             .name("merging".into())
             .spawn({
@@ -126,10 +81,10 @@ impl Site {
     pub(crate) fn describe(
         &self,
         description: SessionDescription,
-    ) -> std::result::Result<SiteStatus, Refused> {
-        let description = description.validated().map_err(Refused::Malformed)?;
-        let failed = |error| Refused::NotStored(NotStored::Failed(error));
-        let origin = description.origin().map_err(Refused::Malformed)?;
+    ) -> std::result::Result<SiteStatus, RequestRefusal> {
+        let description = description.validated().map_err(RequestRefusal::Malformed)?;
+        let failed = |error| RequestRefusal::NotStored(NotStored::Failed(error));
+        let origin = description.origin().map_err(RequestRefusal::Malformed)?;
         let stored = {
             let mut records = self.lock_records();
             let stored = records.describe(&description).map_err(failed)?;
@@ -145,21 +100,21 @@ impl Site {
         origin: &SessionOrigin,
         body: &[u8],
         lost: bool,
-    ) -> std::result::Result<SiteStatus, Refused> {
-        let failed = |error| Refused::NotStored(NotStored::Failed(error));
+    ) -> std::result::Result<SiteStatus, RequestRefusal> {
+        let failed = |error| RequestRefusal::NotStored(NotStored::Failed(error));
         let Some(stored) = self.lock_records().session(origin).map_err(failed)? else {
-            return Err(Refused::NotStored(NotStored::Unknown));
+            return Err(RequestRefusal::NotStored(NotStored::Unknown));
         };
-        let parts = Record::split(body).map_err(Refused::Malformed)?;
+        let parts = Record::split(body).map_err(RequestRefusal::Malformed)?;
         let mut records = Vec::with_capacity(parts.len());
         let camera = &stored.description.camera;
         for bytes in parts {
-            let record = Record::from_bytes(bytes).map_err(Refused::Malformed)?;
+            let record = Record::from_bytes(bytes).map_err(RequestRefusal::Malformed)?;
             if let Some(image) = &record.image {
                 // An image that cannot be decoded would otherwise be found out after it was
                 // acknowledged.
                 image.decode((camera.width(), camera.height())).map_err(|why| {
-                    Refused::Malformed(Error::input(format!(
+                    RequestRefusal::Malformed(Error::input(format!(
                         "the image of keyframe {} {why}",
                         record.head.number
                     )))
@@ -169,7 +124,7 @@ impl Site {
         }
         let (last, stored) = {
             let mut store = self.lock_records();
-            store.append(stored.id, &records).map_err(Refused::NotStored)?;
+            store.append(stored.id, &records).map_err(RequestRefusal::NotStored)?;
             let stored = store.session(origin).map_err(failed)?.unwrap_or(stored);
             (store.last(stored.id).map_err(failed)?, stored)
         };
@@ -185,7 +140,7 @@ impl Site {
         SiteStatus { acknowledged: last, ended: stored.ended, ..status }
     }
 
-    /// Takes the records of a robot out of the map, or puts them in again. Returns whether there is
+    /// Removes the records of a robot from the map, or adds them again. Returns whether there is
     /// such a robot.
     ///
     /// # Errors
@@ -239,7 +194,7 @@ impl Site {
         drop(self.shared.changed.wait_while(work, unsettled));
     }
 
-    fn lock_records(&self) -> MutexGuard<'_, Records> {
+    fn lock_records(&self) -> MutexGuard<'_, RecordStore> {
         self.records.lock().unwrap_or_else(PoisonError::into_inner)
     }
 }
@@ -248,230 +203,4 @@ impl Drop for Site {
     fn drop(&mut self) {
         self.close();
     }
-}
-
-impl SiteState {
-    fn lock_published(&self) -> MutexGuard<'_, Published> {
-        self.published.lock().unwrap_or_else(PoisonError::into_inner)
-    }
-
-    fn lock_work(&self) -> MutexGuard<'_, Work> {
-        self.work.lock().unwrap_or_else(PoisonError::into_inner)
-    }
-
-    fn tell(&self, change: impl FnOnce(&mut Work)) {
-        {
-            let mut work = self.lock_work();
-            change(&mut work);
-            work.settled &= !work.records && !work.robots;
-        }
-        self.changed.notify_all();
-    }
-
-    fn is_ended(&self) -> bool {
-        self.ended.load(Ordering::Relaxed)
-    }
-
-    /// Waits for work, or for `patience`.
-    fn work(&self, patience: Duration) -> Work {
-        let work = self.lock_work();
-        let idle = |work: &mut Work| !work.records && !work.robots && !self.is_ended();
-        let (mut work, _) =
-            self.changed.wait_timeout_while(work, patience, idle).unwrap_or_else(PoisonError::into_inner);
-        let taken = Work { records: work.records, robots: work.robots, ..Work::default() };
-        (work.records, work.robots) = (false, false);
-        taken
-    }
-
-    /// Notes that nothing is left to do but what may have been asked for meanwhile.
-    fn set_settled(&self) {
-        self.tell(|work| work.settled = true);
-    }
-}
-
-/// Merges records into the map.
-struct Merger {
-    records: Records,
-    map: Option<FleetMap>,
-    claim: MapClaim,
-    sessions: BTreeMap<i64, StoredSession>,
-    /// Sequence number up to which all records of active robots are in the map.
-    sequence: i64,
-    /// When the state was published last.
-    published: Option<Instant>,
-}
-
-impl Merger {
-    fn run(&mut self, shared: &SiteState) -> Result<()> {
-        let (mut unsettled, mut unrendered) = (false, false);
-        let (mut rendered, mut rest) = (None::<Instant>, RENDERED_EVERY);
-        // Robots that were withdrawn when the site ended before it could take them out.
-        self.take_out_inactive()?;
-        while !shared.is_ended() {
-            if !unsettled {
-                shared.set_settled();
-            }
-            let work = shared.work(if unsettled { SETTLED_AFTER } else { IDLE });
-            if work.robots {
-                (unsettled, unrendered) = (true, true);
-                // Records of a robot that is active again are among the old ones.
-                self.sequence = 0;
-                self.take_out_inactive()?;
-                self.publish(shared)?;
-            }
-            let mut merged = true;
-            while (work.records || work.robots) && merged && !shared.is_ended() {
-                merged = self.merge_some(shared)?;
-                (unsettled, unrendered) = (unsettled | merged, unrendered | merged);
-            }
-            if work.records || work.robots {
-                self.publish(shared)?;
-                continue;
-            }
-            let Some(map) = &mut self.map else { continue };
-            if unsettled {
-                map.settle()?;
-                unsettled = false;
-                self.publish(shared)?;
-            } else if unrendered && rendered.is_none_or(|at| at.elapsed() >= rest) {
-                let begun = Instant::now();
-                if map.render(&mut || !shared.is_ended())? {
-                    unrendered = false;
-                    shared.lock_published().mosaic += 1;
-                }
-                rest = RENDERED_EVERY.max(RENDERING_REST * begun.elapsed());
-                rendered = Some(Instant::now());
-            }
-        }
-        match self.map.take() {
-            Some(mut map) => {
-                if unsettled {
-                    map.settle()?;
-                }
-                map.close()
-            }
-            None => Ok(()),
-        }
-    }
-
-    /// Merges the next records. Returns whether there were any.
-    fn merge_some(&mut self, shared: &SiteState) -> Result<bool> {
-        let next = self.records.after(self.sequence, 64 * AT_ONCE)?;
-        let active: BTreeMap<String, RobotState> =
-            self.records.robots()?.into_iter().map(|(name, state, _)| (name, state)).collect();
-        let mut merged = 0;
-        for &(sequence, session, number) in &next {
-            if merged == AT_ONCE || shared.is_ended() {
-                break;
-            }
-            self.sequence = sequence;
-            let Some(stored) = self.session(session)? else { continue };
-            let description = stored.description.clone();
-            let origin = description.origin()?;
-            let is_active = active.get(&origin.robot).is_none_or(|state| state.is_merged());
-            let known = self.map.as_ref().and_then(|map| map.session(&origin)?.last());
-            // The end of a session has no keyframe: its edges are compared with those of the map.
-            let is_known = known.is_some_and(|known| number <= known);
-            if !is_active || is_known {
-                continue;
-            }
-            let record = self.records.record(sequence)?;
-            let map = match &mut self.map {
-                Some(map) => map,
-                none => none.insert(FleetMap::create(&self.claim, &description)?),
-            };
-            merged += 1;
-            match map.add(&description, record) {
-                // The disk may have room again when the site is started again.
-                Err(error) if error.kind() == ErrorKind::Output => return Err(error),
-                Err(error) => {
-                    let reason = format!("record {number} of session {} cannot be used: {error}", origin.key);
-                    self.records.set_robot(&origin.robot, RobotState::Quarantined, Some(&reason))?;
-                    self.take_out_inactive()?;
-                    break;
-                }
-                Ok(()) => {}
-            }
-            if self.quarantine_doubtful()? {
-                break;
-            }
-        }
-        if merged > 0 {
-            let version = self.records.version()?;
-            self.records.set_version(version + merged as u64)?;
-            if self.published.is_none_or(|at| at.elapsed() >= PUBLISHED_EVERY) {
-                self.publish(shared)?;
-            }
-        }
-        Ok(!next.is_empty())
-    }
-
-    fn session(&mut self, id: i64) -> Result<Option<&StoredSession>> {
-        if !self.sessions.contains_key(&id) {
-            self.sessions = self.records.sessions()?.into_iter().map(|stored| (stored.id, stored)).collect();
-        }
-        Ok(self.sessions.get(&id))
-    }
-
-    /// Takes a robot out of the map whose metres are not those of the map. Returns whether there
-    /// was one.
-    fn quarantine_doubtful(&mut self) -> Result<bool> {
-        let Some(map) = &self.map else { return Ok(false) };
-        let robots = self.records.robots()?;
-        let doubtful = self.sessions.values().find_map(|stored| {
-            let origin = stored.description.origin().ok()?;
-            let scale = map.scale(map.session(&origin)?).filter(is_doubtful)?;
-            let trusted = |(name, state, _): &(String, RobotState, _)| {
-                *name == origin.robot && *state == RobotState::Trusted
-            };
-            if robots.iter().any(trusted) {
-                return None;
-            }
-            Some((origin.robot, reason(&stored.description, &scale)))
-        });
-        let Some((robot, reason)) = doubtful else { return Ok(false) };
-        self.records.set_robot(&robot, RobotState::Quarantined, Some(&reason))?;
-        self.take_out_inactive()
-    }
-
-    /// Removes the robots that are not active from the map. Returns whether there was anything of
-    /// them.
-    fn take_out_inactive(&mut self) -> Result<bool> {
-        let Some(map) = self.map.take() else { return Ok(false) };
-        let robots = self.records.robots()?;
-        let inactive = |origin: &SessionOrigin| {
-            robots.iter().any(|(name, state, _)| *name == origin.robot && !state.is_merged())
-        };
-        let (map, any) = map.remove(inactive)?;
-        self.map = Some(map);
-        if any {
-            let version = self.records.version()?;
-            self.records.set_version(version + 1)?;
-        }
-        Ok(any)
-    }
-
-    fn publish(&mut self, shared: &SiteState) -> Result<()> {
-        self.published = Some(Instant::now());
-        shared.lock_published().update(&self.records, self.map.as_ref())
-    }
-}
-
-/// Whether the metres of a session certainly differ from those of the map.
-fn is_doubtful(scale: &SessionScale) -> bool {
-    let off = (scale.ratio - 1.0).abs();
-    off > TOLERATED_SCALE && off - TOLERATED_SCALE > CERTAIN * scale.deviation
-}
-
-fn reason(description: &SessionDescription, scale: &SessionScale) -> String {
-    let told_m = description.rig.height_m;
-    format!(
-        "its metres are {:.3} ± {:.3} of the map's, as seen at {} places: with a height of {:.3} m in place of {:.3} m, \
-         or a focal length in the same ratio, they would agree",
-        1.0 / scale.ratio,
-        scale.deviation,
-        scale.places,
-        scale.ratio * told_m,
-        told_m
-    )
 }

@@ -147,40 +147,52 @@ impl Picture {
                 picture_from_rgb(width, height, pattern.rgb(width, height, rows()), color).ok_or_else(lost)
             }
             SampleLayout::Yuyv | SampleLayout::Uyvy => {
-                let (luminance, blue_at, red_at) =
-                    if layout == SampleLayout::Yuyv { (0, 1, 3) } else { (1, 0, 2) };
-                let mut samples = Vec::with_capacity(pixels);
-                let (mut blue, mut red) = (Vec::new(), Vec::new());
-                for row in rows() {
-                    samples.extend(row.chunks_exact(2).map(|pair| pair[luminance]));
-                    if color {
-                        // An odd last pixel has only blue chroma; it takes the red chroma of the
-                        // pair before.
-                        blue.extend(row.iter().skip(blue_at).step_by(4));
-                        red.extend(row.iter().skip(red_at).step_by(4));
-                        red.resize(blue.len(), red.last().copied().unwrap_or(128));
-                    }
-                }
+                let at = if layout == SampleLayout::Yuyv { [0, 1, 3] } else { [1, 0, 2] };
+                let [samples, blue, red] = packed_planes(rows(), at, color);
                 Ok(Self { gray: gray(samples)?, color: color.then(|| chroma(height, blue, red)) })
             }
             SampleLayout::Nv12 => {
                 let mut samples = Vec::with_capacity(pixels);
                 rows().for_each(|row| samples.extend_from_slice(row));
-                let (mut blue, mut red) = (Vec::new(), Vec::new());
-                let across = width.div_ceil(2);
-                if color {
-                    for row in bytes.chunks(line).skip(height).take(height.div_ceil(2)) {
-                        // A row of an odd width may lack its last sample.
-                        let at = |index: usize| row.get(index).copied().unwrap_or(128);
-                        blue.extend((0..across).map(|x| at(2 * x)));
-                        red.extend((0..across).map(|x| at(2 * x + 1)));
-                    }
-                }
-                let color = color.then(|| chroma(height.div_ceil(2), blue, red));
+                let down = height.div_ceil(2);
+                let color = color.then(|| {
+                    let rows = bytes.chunks(line).skip(height).take(down);
+                    let [blue, red] = interleaved_chroma(rows, width.div_ceil(2));
+                    chroma(down, blue, red)
+                });
                 Ok(Self { gray: gray(samples)?, color })
             }
         }
     }
+}
+
+/// Luminance, blue and red chroma of rows with two pixels in four bytes, which are `at` these
+/// positions; chroma only if `color` is set.
+fn packed_planes<'a>(rows: impl Iterator<Item = &'a [u8]>, at: [usize; 3], color: bool) -> [Vec<u8>; 3] {
+    let [luminance_at, blue_at, red_at] = at;
+    let [mut luminance, mut blue, mut red] = [const { Vec::new() }; 3];
+    for row in rows {
+        luminance.extend(row.chunks_exact(2).map(|pair| pair[luminance_at]));
+        if color {
+            // An odd last pixel has only blue chroma; it takes the red chroma of the pair before.
+            blue.extend(row.iter().skip(blue_at).step_by(4));
+            red.extend(row.iter().skip(red_at).step_by(4));
+            red.resize(blue.len(), red.last().copied().unwrap_or(128));
+        }
+    }
+    [luminance, blue, red]
+}
+
+/// Blue and red chroma of rows of `across` pairs.
+fn interleaved_chroma<'a>(rows: impl Iterator<Item = &'a [u8]>, across: usize) -> [Vec<u8>; 2] {
+    let (mut blue, mut red) = (Vec::new(), Vec::new());
+    for row in rows {
+        // A row of an odd width may lack its last sample.
+        let at = |index: usize| row.get(index).copied().unwrap_or(128);
+        blue.extend((0..across).map(|x| at(2 * x)));
+        red.extend((0..across).map(|x| at(2 * x + 1)));
+    }
+    [blue, red]
 }
 
 #[cfg(test)]

@@ -21,7 +21,7 @@ const NANOSECONDS_FROM: f64 = 1e17;
 /// frames at a usual rate cannot be distinguished.
 const LATEST_S: f64 = 1e12;
 /// Results have times to the nanosecond.
-const LEAST_STEP_S: f64 = 1e-9;
+const MIN_STEP_S: f64 = 1e-9;
 /// Largest size of a timestamps file, bytes.
 const MAX_BYTES: u64 = 256 << 20;
 
@@ -91,7 +91,7 @@ impl Timestamps {
                     "line {number}: the time {time_s:?} s does not come after the {before:?} s before it"
                 )));
             }
-            if before.is_some_and(|before| time_s - before < LEAST_STEP_S) {
+            if before.is_some_and(|before| time_s - before < MIN_STEP_S) {
                 return Err(Error::input(format!(
                     "line {number}: the time {time_s:?} s comes less than a nanosecond after the one before it"
                 )));

@@ -49,10 +49,10 @@ pub(crate) fn open(path: Option<&Path>, reader: Box<dyn PacketReader>, color: bo
     // Decoding the first frame determines whether a decoder supports the stream.
     match video.fill() {
         Ok(()) => {}
-        Err(Refused::Unsupported(what)) => {
+        Err(DecodeFailure::Unsupported(what)) => {
             return through_ffmpeg(&format!("{name} ({what})"));
         }
-        Err(Refused::Failed(error)) => return Err(error),
+        Err(DecodeFailure::Failed(error)) => return Err(error),
     }
     if video.ready.is_empty() {
         // ffmpeg may decode a stream that is too damaged for these decoders; if it fails, the error
@@ -100,12 +100,12 @@ struct Video {
     warnings: Vec<String>,
 }
 
-enum Refused {
+enum DecodeFailure {
     Unsupported(String),
     Failed(Error),
 }
 
-impl From<Error> for Refused {
+impl From<Error> for DecodeFailure {
     fn from(error: Error) -> Self {
         Self::Failed(error)
     }
@@ -113,7 +113,7 @@ impl From<Error> for Refused {
 
 impl Video {
     /// Decodes until a frame is ready or the stream ends.
-    fn fill(&mut self) -> std::result::Result<(), Refused> {
+    fn fill(&mut self) -> std::result::Result<(), DecodeFailure> {
         let mut decoded = Vec::new();
         while self.ready.is_empty() && !self.ended {
             let more = match self.reader.next_packet(&mut self.packet) {
@@ -140,7 +140,7 @@ impl Video {
                         continue;
                     }
                     if self.given == 0 && self.waiting.is_empty() && decoded.is_empty() {
-                        return Err(Refused::Unsupported(what));
+                        return Err(DecodeFailure::Unsupported(what));
                     }
                     self.damage(what);
                 }
@@ -219,8 +219,8 @@ impl Video {
 impl Frames for Video {
     fn advance(&mut self) -> Result<Option<f64>> {
         self.fill().map_err(|refused| match refused {
-            Refused::Failed(error) => error,
-            Refused::Unsupported(what) => Error::input(format!("the video cannot be decoded: {what}")),
+            DecodeFailure::Failed(error) => error,
+            DecodeFailure::Unsupported(what) => Error::input(format!("the video cannot be decoded: {what}")),
         })?;
         let Some((stamp, picture)) = self.ready.pop_front() else { return Ok(None) };
         self.given += 1;

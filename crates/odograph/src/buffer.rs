@@ -19,7 +19,7 @@ pub trait Stored: Sized {
 }
 
 /// Maximum length of the free list of one type in one thread.
-const MOST_WAITING: usize = 8;
+const MAX_WAITING: usize = 8;
 
 /// Implements [`Stored`] for each of the given types, with one thread-local free list per type.
 macro_rules! stored {
@@ -81,7 +81,7 @@ impl<T: Stored> Drop for Buffer<T> {
         }
         list.clear();
         let _ = T::with_store(|waiting| {
-            if waiting.len() < MOST_WAITING {
+            if waiting.len() < MAX_WAITING {
                 waiting.push(list);
             }
         });

@@ -10,7 +10,7 @@ use odograph::numerics::{Part, combine, inverse};
 const CONTRADICTION: f64 = 30.7;
 
 /// Minimum scatter of views of one rig over a real floor: relative height, degrees.
-const LEAST_SCATTER: (f64, f64) = (1e-3, 0.05);
+const MIN_SCATTER: (f64, f64) = (1e-3, 0.05);
 
 /// Largest difference between views of one rig on any floor: relative height, degrees.
 const SAME_RIG: (f64, f64) = (0.05, 3.0);
@@ -90,7 +90,7 @@ fn distance(used: &[(usize, ViewPoseFit)], left: usize) -> Option<(f64, f64, f64
         .collect::<Option<_>>()?;
     let combined = combine(&others)?;
     let own = inverse(&fit.part(&around)?.information)?;
-    let least = [LEAST_SCATTER.0 * around[0], LEAST_SCATTER.1.to_radians(), LEAST_SCATTER.1.to_radians()];
+    let least = [MIN_SCATTER.0 * around[0], MIN_SCATTER.1.to_radians(), MIN_SCATTER.1.to_radians()];
     let scatter = combined.scatter;
     let spread = Matrix3::from_fn(|i, j| if i == j { scatter[i].max(least[i] * least[i]) } else { 0.0 });
     let information = (own + combined.covariance + spread).try_inverse()?;

@@ -16,14 +16,14 @@ pub(super) struct Blob {
 }
 
 /// Minimum area, pixels; smaller blobs are noise.
-const LEAST_AREA: usize = 12;
+const MIN_AREA: usize = 12;
 /// Maximum ratio of the axes; beyond it, a disc is indistinguishable from a stroke.
-const MOST_ELONGATION: f64 = 5.0;
+const MAX_ELONGATION: f64 = 5.0;
 /// Maximum relative difference between the area and that of the ellipse with the same second
 /// moments. The rim of a blob of 12 pixels is ragged.
-const MOST_UNLIKE: f64 = 0.12;
+const MAX_UNLIKE: f64 = 0.12;
 /// Minimum difference between a pixel and the local mean, gray levels.
-const LEAST_CONTRAST: u32 = 8;
+const MIN_CONTRAST: u32 = 8;
 
 /// The `most` largest dark elliptical blobs, largest first. A pixel is dark if it is below the mean
 /// of a square window of `window_px`.
@@ -71,7 +71,7 @@ fn darker_than_around(image: &GrayImage, window_px: usize) -> Vec<bool> {
                 sum -= u64::from(columns[x - radius - 1]);
             }
             let count = rows * ((x + radius).min(width - 1) - x.saturating_sub(radius) + 1);
-            dark[x] = u64::from(u32::from(samples[x]) + LEAST_CONTRAST) * count as u64 <= sum;
+            dark[x] = u64::from(u32::from(samples[x]) + MIN_CONTRAST) * count as u64 <= sum;
         }
     }
     dark
@@ -118,7 +118,7 @@ impl BlobMoments {
     }
 
     fn blob(&self) -> Option<(usize, Blob)> {
-        if self.at_border || self.count < LEAST_AREA as f64 {
+        if self.at_border || self.count < MIN_AREA as f64 {
             return None;
         }
         let (x, y) = (self.x / self.count, self.y / self.count);
@@ -135,7 +135,7 @@ impl BlobMoments {
         let area = 4.0 * std::f64::consts::PI * determinant.sqrt();
         let (mean, spread) = (0.5 * (xx + yy), (0.25 * (xx - yy) * (xx - yy) + xy * xy).sqrt());
         let axes_px = (2.0 * (mean + spread).sqrt(), 2.0 * (mean - spread).max(0.0).sqrt());
-        if (self.count / area - 1.0).abs() > MOST_UNLIKE || axes_px.0 > MOST_ELONGATION * axes_px.1 {
+        if (self.count / area - 1.0).abs() > MAX_UNLIKE || axes_px.0 > MAX_ELONGATION * axes_px.1 {
             return None;
         }
         let shape = [yy, -xy, xx].map(|moment| 0.25 * moment / determinant);

@@ -15,21 +15,21 @@ use odograph::numerics::median;
 
 /// Maximum number of corner candidates, in addition to eight times the corners of the board; noise
 /// and texture produce any number.
-const MOST_PEAKS: usize = 1500;
+const MAX_PEAKS: usize = 1500;
 /// Images with a longer side of at least this many pixels are first searched at half the
 /// resolution.
 const LARGE_PX: usize = 800;
 /// Maximum blur (standard deviation) for accurate corners, in pixels and as a share of the side of
 /// a square. From about a quarter of the side on, the next corner affects the fit.
-const MOST_BLUR_PX: f64 = 6.0;
-const MOST_BLUR_OF_SIDE: f64 = 0.22;
+const MAX_BLUR_PX: f64 = 6.0;
+const MAX_BLUR_OF_SIDE: f64 = 0.22;
 /// Half window of the corner fit as a share of the distance to the nearest corner, and its maximum
 /// in pixels, because lens distortion bends edges.
 const WINDOW_OF_SIDE: f64 = 0.45;
 const LARGEST_WINDOW_PX: f64 = 10.0;
 
 /// Minimum number of corners for a statement about a board; smaller lattices occur by chance.
-const LEAST_PART: usize = 6;
+const MIN_PART: usize = 6;
 
 /// Detects a complete chessboard.
 pub(super) fn find(image: &GrayImage, board: &Board) -> Result<BoardView, NotFound> {
@@ -68,7 +68,7 @@ pub(super) fn find(image: &GrayImage, board: &Board) -> Result<BoardView, NotFou
 fn seen(why: &NotFound) -> usize {
     match *why {
         // Below the rank of a larger partial board that is sharp.
-        NotFound::Blurred => LEAST_PART,
+        NotFound::Blurred => MIN_PART,
         NotFound::OtherSize { seen, .. } => seen.0 * seen.1,
         NotFound::Partial { points, .. } => points,
         _ => 0,
@@ -111,7 +111,7 @@ fn find_in_level(
     wanted: (usize, usize),
     scale: f64,
 ) -> Result<Vec<LatticeCorner>, NotFound> {
-    let corners = corners_of_squares(image, MOST_PEAKS + 8 * wanted.0 * wanted.1);
+    let corners = corners_of_squares(image, MAX_PEAKS + 8 * wanted.0 * wanted.1);
     let mut best = NotFound::NoCorners;
     for seen_lattice in lattices(image, &corners).into_iter().take(4) {
         let mut lattice = seen_lattice.clone();
@@ -130,7 +130,7 @@ fn find_in_level(
         let as_said = spans.0.abs_diff(wanted.0) + spans.1.abs_diff(wanted.1)
             <= spans.1.abs_diff(wanted.0) + spans.0.abs_diff(wanted.1);
         let spans = if as_said { spans } else { (spans.1, spans.0) };
-        if lattice.len() <= LEAST_PART {
+        if lattice.len() <= MIN_PART {
             continue;
         }
         let why = if is_lattice_blurred(image, &lattice, scale) {
@@ -316,7 +316,7 @@ fn is_blurred(blurs: &[(f64, f64)]) -> bool {
         let mut values: Vec<f64> = blurs.iter().map(value).collect();
         median(&mut values).unwrap_or(0.0)
     };
-    middle(|blur| blur.0) > MOST_BLUR_PX || middle(|blur| blur.1) > MOST_BLUR_OF_SIDE
+    middle(|blur| blur.0) > MAX_BLUR_PX || middle(|blur| blur.1) > MAX_BLUR_OF_SIDE
 }
 
 /// Whether the corners of a partial board, detected on a pyramid level, are too blurred.

@@ -24,16 +24,16 @@ type Spots = BTreeMap<(i32, i32), usize>;
 /// neighbour.
 const STRAY: f64 = 0.25;
 /// Maximum ratio of the semi-axes of neighbouring blobs.
-const MOST_UNLIKE_SIZES: f64 = 1.7;
+const MAX_UNLIKE_SIZES: f64 = 1.7;
 /// Maximum number of blobs, in addition to four times those of the board; texture produces any
 /// number.
-const MOST_SPOTS: usize = 1000;
+const MAX_SPOTS: usize = 1000;
 /// Maximum residual of a disc fit relative to its contrast (median over all discs), and minimum
 /// ratio of the lowest to the highest contrast. They reject pebbles and letters.
-const MOST_UNEXPLAINED: f64 = 0.12;
-const LEAST_CONTRAST_RATIO: f64 = 0.25;
+const MAX_UNEXPLAINED: f64 = 0.12;
+const MIN_CONTRAST_RATIO: f64 = 0.25;
 /// Maximum blur of the rim, standard deviation in pixels.
-const MOST_BLUR_PX: f64 = 6.0;
+const MAX_BLUR_PX: f64 = 6.0;
 
 /// Detects a complete circle grid.
 pub(super) fn find(image: &GrayImage, board: &Board) -> Result<BoardView, NotFound> {
@@ -50,7 +50,7 @@ pub(super) fn find(image: &GrayImage, board: &Board) -> Result<BoardView, NotFou
             if window < 5 {
                 continue;
             }
-            let most = MOST_SPOTS + 4 * board.columns() * board.rows();
+            let most = MAX_SPOTS + 4 * board.columns() * board.rows();
             let spots = Spotted::new(blobs(pyramid.level(level), window, most));
             match in_spots(&spots, board) {
                 Ok(grid) => {
@@ -97,12 +97,12 @@ fn refine(image: &GrayImage, grid: &[Blob]) -> Result<Vec<SeenPoint>, NotFound> 
     };
     let contrasts = || discs.iter().map(|disc| disc.contrast);
     let (faintest, strongest) = (contrasts().fold(f64::MAX, f64::min), contrasts().fold(0.0, f64::max));
-    if middle(|disc| disc.residual / disc.contrast) > MOST_UNEXPLAINED
-        || faintest < LEAST_CONTRAST_RATIO * strongest
+    if middle(|disc| disc.residual / disc.contrast) > MAX_UNEXPLAINED
+        || faintest < MIN_CONTRAST_RATIO * strongest
     {
         return Err(NotFound::NoDiscs);
     }
-    if middle(|disc| disc.blur_px) > MOST_BLUR_PX {
+    if middle(|disc| disc.blur_px) > MAX_BLUR_PX {
         return Err(NotFound::Blurred);
     }
     let points = discs.iter().enumerate().map(|(index, disc)| SeenPoint { index, pixel: disc.pixel });
@@ -110,7 +110,7 @@ fn refine(image: &GrayImage, grid: &[Blob]) -> Result<Vec<SeenPoint>, NotFound> 
 }
 
 /// Minimum number of discs for a statement about a board; smaller lattices occur by chance.
-const LEAST_PART: usize = 6;
+const MIN_PART: usize = 6;
 
 /// Lattice coordinates of the board's points: a rectangle, or every second position of it for the
 /// asymmetric grid.
@@ -139,7 +139,7 @@ fn in_spots(spots: &Spotted, board: &Board) -> Result<Vec<Blob>, NotFound> {
         }
         let reported = match best {
             NotFound::OtherDiscs { seen, .. } => seen,
-            _ => LEAST_PART.max(places.len() / 3), // smaller ones occur by chance
+            _ => MIN_PART.max(places.len() / 3), // smaller ones occur by chance
         };
         // Lattices of pebbles have more gaps than complete squares.
         let whole = |&&(i, j): &&(i32, i32)| {
@@ -154,7 +154,7 @@ fn in_spots(spots: &Spotted, board: &Board) -> Result<Vec<Blob>, NotFound> {
 
 /// Whether two blobs are similar enough in size to be neighbouring discs of one board.
 fn alike(one: &Blob, other: &Blob) -> bool {
-    let ratio = |a: f64, b: f64| a.max(b) < MOST_UNLIKE_SIZES * a.min(b);
+    let ratio = |a: f64, b: f64| a.max(b) < MAX_UNLIKE_SIZES * a.min(b);
     ratio(one.axes_px.0, other.axes_px.0) && ratio(one.axes_px.1, other.axes_px.1)
 }
 

@@ -27,7 +27,7 @@ type DiscNormalMatrix = SMatrix<f64, UNKNOWNS, UNKNOWNS>;
 /// Radius of the window, in radii of the disc: about half the distance to the rim of the next disc,
 /// which is at three radii or more on usual boards.
 const REACH: f64 = 1.55;
-const MOST_STEPS: usize = 15;
+const MAX_STEPS: usize = 15;
 const CONVERGED_PX: f64 = 1e-4;
 
 /// Half width of the biweight ramp over the standard deviation of its kernel, √7.
@@ -75,7 +75,7 @@ pub(super) fn fit(image: &GrayImage, blob: &Blob) -> Option<Disc> {
     let mut unknowns = DiscUnknowns::from([0.0, 0.0, a, b, c, 2.0, ground, 0.0, 0.0, ground - dark]);
     let (mut normal, mut gradient, mut cost) = normal_equations(&samples, &unknowns)?;
     let mut damping = 1e-3;
-    for _ in 0..MOST_STEPS {
+    for _ in 0..MAX_STEPS {
         let mut damped = normal;
         for i in 0..UNKNOWNS {
             damped[(i, i)] += damping * normal[(i, i)] + 1e-12;

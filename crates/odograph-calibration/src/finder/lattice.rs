@@ -26,7 +26,7 @@ pub(super) type Lattice = BTreeMap<(i32, i32), LatticeCorner>;
 /// Maximum angle between an edge and the direction to the neighbour, radians.
 const TURN: f64 = 0.45;
 /// Minimum ratio of the contrasts of two neighbours.
-const LEAST_CONTRAST_RATIO: f64 = 0.35;
+const MIN_CONTRAST_RATIO: f64 = 0.35;
 /// Number of nearest corners considered as neighbours.
 const NEAREST: usize = 40;
 
@@ -90,7 +90,7 @@ fn links(image: &GrayImage, corners: &[LatticeCorner]) -> Vec<[Option<(usize, us
             |(other, candidate)| {
                 let ratio = candidate.ring.contrast() / contrast;
                 let (dx, dy) = (candidate.pixel.x - corner.pixel.x, candidate.pixel.y - corner.pixel.y);
-                (LEAST_CONTRAST_RATIO..=1.0 / LEAST_CONTRAST_RATIO)
+                (MIN_CONTRAST_RATIO..=1.0 / MIN_CONTRAST_RATIO)
                     .contains(&ratio)
                     .then_some((dx * dx + dy * dy, other))
             },

@@ -30,7 +30,7 @@ const LARGEST_WINDOW_PX: f64 = 8.0;
 /// Margin of the rendered pattern beyond the window, pixels; bounds the shift during registration.
 const MARGIN_PX: f64 = 1.5;
 /// Maximum number of iterations; the registration converges in two to four.
-const MOST_STEPS: usize = 8;
+const MAX_STEPS: usize = 8;
 const CONVERGED_PX: f64 = 1e-3;
 
 /// The rendered pattern around a board point.
@@ -111,11 +111,11 @@ impl Pattern {
     pub fn fit(&self, image: &GrayImage, start: Pixel) -> Option<PatternFit> {
         let mut at = start;
         let mut result = None;
-        for _ in 0..MOST_STEPS {
+        for _ in 0..MAX_STEPS {
             let (step, fit) = self.step(image, at)?;
             at = Pixel::new(at.x + step.0, at.y + step.1);
             let moved_px = at.distance(start);
-            if moved_px.is_nan() || moved_px > MOST_MOVED_PX {
+            if moved_px.is_nan() || moved_px > MAX_MOVED_PX {
                 return None;
             }
             result = Some(PatternFit { pixel: at, ..fit });
@@ -160,7 +160,7 @@ impl Pattern {
         let cholesky = normal.cholesky()?;
         let solution = cholesky.solve(&right);
         let contrast = solution[1];
-        if contrast.is_nan() || contrast <= LEAST_CONTRAST {
+        if contrast.is_nan() || contrast <= MIN_CONTRAST {
             return None;
         }
         let residual = ((squares - solution.dot(&right)).max(0.0) / weights).sqrt();
@@ -182,9 +182,9 @@ impl Pattern {
 /// the weighted normal equations.
 const WEIGHING: f64 = 0.7;
 /// Minimum contrast, gray levels.
-const LEAST_CONTRAST: f64 = 8.0;
+const MIN_CONTRAST: f64 = 8.0;
 /// Maximum shift from the start, pixels; the start is accurate to about a pixel.
-const MOST_MOVED_PX: f64 = 2.5;
+const MAX_MOVED_PX: f64 = 2.5;
 
 /// Half of a Gaussian kernel, central tap first. The full kernel sums to one.
 fn gaussian(deviation: f64) -> Vec<f32> {

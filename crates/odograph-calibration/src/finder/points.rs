@@ -18,7 +18,7 @@ pub(super) struct PointLook {
 }
 
 /// Minimum contrast between black and white around a corner, gray levels.
-const LEAST_CONTRAST: f64 = 8.0;
+const MIN_CONTRAST: f64 = 8.0;
 /// Limits of the window radius of the fit, pixels. Edges of a few pixels determine a corner to some
 /// hundredths of a pixel under noise; in larger windows the lens distortion bends the edges
 /// noticeably.
@@ -48,9 +48,9 @@ pub(super) struct Expected<'a> {
 /// Maximum RMS residual of a fit: a noise term (gray levels) plus a share of the contrast for blur
 /// that deviates from the model. Occlusions cause larger residuals.
 const NOISE_GRAY: f64 = 3.0;
-const MOST_UNEXPLAINED: f64 = 0.12;
+const MAX_UNEXPLAINED: f64 = 0.12;
 /// Maximum standard deviation of a corner, pixels.
-const MOST_DEVIATION_PX: f64 = 0.1;
+const MAX_DEVIATION_PX: f64 = 0.1;
 
 /// Locates a corner near its predicted position. `None` unless four squares of the expected
 /// polarity meet there.
@@ -73,8 +73,8 @@ pub(super) fn look_at(image: &GrayImage, expected: &Expected<'_>) -> Option<Poin
             let window = (0.4 * width * expected.spacing_m).clamp(SMALLEST_PATTERN_PX, WINDOW_PX.1 + 1.0);
             let fit =
                 Pattern::new(drawing, expected.map, expected.place, window, blur_px)?.fit(image, near)?;
-            if fit.residual > NOISE_GRAY + MOST_UNEXPLAINED * fit.contrast
-                || fit.deviation_px > MOST_DEVIATION_PX
+            if fit.residual > NOISE_GRAY + MAX_UNEXPLAINED * fit.contrast
+                || fit.deviation_px > MAX_DEVIATION_PX
             {
                 return None;
             }
@@ -89,8 +89,8 @@ pub(super) fn look_at(image: &GrayImage, expected: &Expected<'_>) -> Option<Poin
             let deviation_px =
                 2.5 * blur_px * saddle.residual / saddle.contrast / (2.0 * window * blur_px).sqrt();
             // Not `>`, so that NaN is rejected too.
-            if !(deviation_px <= MOST_DEVIATION_PX
-                && saddle.residual <= NOISE_GRAY + MOST_UNEXPLAINED * saddle.contrast)
+            if !(deviation_px <= MAX_DEVIATION_PX
+                && saddle.residual <= NOISE_GRAY + MAX_UNEXPLAINED * saddle.contrast)
             {
                 return None;
             }
@@ -130,13 +130,13 @@ impl Colours {
     }
 
     fn meet(&self, image: &GrayImage, at: Pixel) -> bool {
-        self.contrast(image, at).is_some_and(|contrast| contrast > LEAST_CONTRAST)
+        self.contrast(image, at).is_some_and(|contrast| contrast > MIN_CONTRAST)
     }
 
     /// The pixel with the largest contrast of the expected polarity within reach.
     fn search(&self, image: &GrayImage, predicted: Pixel, most_off_px: f64) -> Option<Pixel> {
         let reach = most_off_px.min(8.0).ceil() as i32;
-        let mut best = (LEAST_CONTRAST, None);
+        let mut best = (MIN_CONTRAST, None);
         for dy in -reach..=reach {
             for dx in -reach..=reach {
                 let at = Pixel::new(predicted.x + f64::from(dx), predicted.y + f64::from(dy));

@@ -19,7 +19,7 @@ pub(super) struct ResponsePeak {
 }
 
 /// Minimum response; about that of a corner with a contrast of a dozen gray levels.
-const LEAST_RESPONSE: i16 = 60;
+const MIN_RESPONSE: i16 = 60;
 /// Radius of the square window for non-maximum suppression, pixels.
 const APART: usize = 3;
 
@@ -38,7 +38,7 @@ pub(super) fn peaks(image: &GrayImage, most: usize) -> Vec<ResponsePeak> {
         let row = &responses[y * width..(y + 1) * width];
         for x in RADIUS..width - RADIUS {
             let response = row[x];
-            if response < LEAST_RESPONSE || response < row[x - 1] || response <= row[x + 1] {
+            if response < MIN_RESPONSE || response < row[x - 1] || response <= row[x + 1] {
                 continue;
             }
             // The first one in reading order wins ties.

@@ -36,7 +36,7 @@ pub(crate) struct Ring {
 
 /// Minimum contrast between black and white, gray levels; below it, the print is indistinguishable
 /// from noise.
-const LEAST_CONTRAST: f64 = 8.0;
+const MIN_CONTRAST: f64 = 8.0;
 /// Maximum deviation of two opposite edges from a straight line, radians. It is large because the
 /// centre of the circle may be off by a good part of a pixel.
 const BEND: f64 = 0.7;
@@ -68,7 +68,7 @@ impl Ring {
             least = least.min(sample);
             most = most.max(sample);
         }
-        if most - least < LEAST_CONTRAST {
+        if most - least < MIN_CONTRAST {
             return None;
         }
         // The threshold is the mid-range, not the mean: black and white arcs are only of equal
@@ -116,7 +116,7 @@ impl Ring {
         let (white, black) = if white_after_first { (pair_0, pair_1) } else { (pair_1, pair_0) };
         let contrast = 0.5 * (white[0] + white[1] - black[0] - black[1]);
         // Illumination varies slowly, so opposite squares are more similar than adjacent ones.
-        if contrast < LEAST_CONTRAST * 0.75
+        if contrast < MIN_CONTRAST * 0.75
             || (white[0] - white[1]).abs() > 0.6 * contrast
             || (black[0] - black[1]).abs() > 0.6 * contrast
         {

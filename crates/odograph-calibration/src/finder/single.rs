@@ -46,7 +46,7 @@ impl MarkerFinder {
     /// Accepts images of any size and content. The run time is proportional to the number of
     /// pixels.
     pub fn find(&self, image: &GrayImage, least_px: f64) -> Vec<SeenMarker> {
-        let least_px = (least_px as usize).max(markers::LEAST_PX);
+        let least_px = (least_px as usize).max(markers::MIN_PX);
         let read = markers::find(image, &self.codes, least_px).read;
         let mut seen: Vec<SeenMarker> = Vec::new();
         for marker in read {

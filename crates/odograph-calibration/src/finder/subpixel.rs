@@ -72,7 +72,7 @@ pub(super) fn orthogonal_to_within(
     enough_px: f64,
 ) -> Option<Pixel> {
     let mut at = start;
-    for _ in 0..MOST_STEPS {
+    for _ in 0..MAX_STEPS {
         let half = window_inside(image, at, half_window_px)?;
         let (mut xx, mut xy, mut yy, mut bx, mut by) = (0.0, 0.0, 0.0, 0.0, 0.0);
         for (x, y, dx, dy, weight) in window(image, at, half) {
@@ -104,7 +104,7 @@ pub(super) fn orthogonal_to_within(
 }
 
 /// Maximum number of iterations; both methods converge in three to six.
-const MOST_STEPS: usize = 12;
+const MAX_STEPS: usize = 12;
 /// Convergence threshold of a step, far below the noise. The next step would be an order of
 /// magnitude smaller.
 const CONVERGED_PX: f64 = 5e-4;
@@ -178,7 +178,7 @@ fn fit_edges(image: &GrayImage, centre: Pixel, half: f64, ring: &Ring, blur_px: 
         .collect();
     let mut damping = 1e-3;
     let (mut normal, mut gradient, mut cost) = normal_equations::<true>(&samples, &unknowns);
-    for _ in 0..MOST_STEPS {
+    for _ in 0..MAX_STEPS {
         let mut damped = normal;
         for i in 0..9 {
             damped[(i, i)] += damping * normal[(i, i)] + 1e-9;

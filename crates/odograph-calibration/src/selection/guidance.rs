@@ -126,7 +126,7 @@ pub struct Guidance {
 }
 
 /// Minimum number of views for a reliable calibration.
-const LEAST_VIEWS: usize = 12;
+const MIN_VIEWS: usize = 12;
 /// Minimum tilt, radians. Zhang (2000, section 5.1) finds 45° optimal and less than 5° useless.
 const TILTED_RAD: f64 = 0.35;
 /// Minimum number of tilted views for each axis.
@@ -154,8 +154,8 @@ impl Guidance {
         if chosen.iter().filter(|kept| kept.speed_px_s > MOVES_PX_S).count() * 2 > chosen.len() {
             missing.push(Hint::HoldStill);
         }
-        if chosen.len() < LEAST_VIEWS {
-            missing.push(Hint::MoreViews(LEAST_VIEWS - chosen.len()));
+        if chosen.len() < MIN_VIEWS {
+            missing.push(Hint::MoreViews(MIN_VIEWS - chosen.len()));
         }
         Self { views: chosen.len(), coverage, missing }
     }

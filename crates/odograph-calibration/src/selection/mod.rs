@@ -21,7 +21,7 @@ use odograph::error::{Error, Result};
 use worth::Knowledge;
 
 /// Minimum number of distinct views that determine a camera.
-pub const LEAST_VIEWS: usize = 3;
+pub const MIN_VIEWS: usize = 3;
 
 /// Configuration of the view selection.
 #[derive(Debug, Clone, Copy, PartialEq)]
@@ -73,7 +73,7 @@ const FOLLOWS_S: f64 = 0.25;
 const SPEED_OF_A_LONE_FRAME: f64 = 0.2;
 /// Maximum number of distinct views in memory. Beyond it, the less informative half is dropped,
 /// which bounds memory and time.
-const MOST_KEPT: usize = 1000;
+const MAX_KEPT: usize = 1000;
 
 /// Selects the informative views of a recording. Sightings must be added in temporal order; the
 /// selection is deterministic.
@@ -120,7 +120,7 @@ impl ViewSelector {
     pub fn enough(&self) -> Result<()> {
         let (seen, distinct) = (self.sightings, self.distinct());
         let alike = match (seen, distinct) {
-            (_, LEAST_VIEWS..) => return Ok(()),
+            (_, MIN_VIEWS..) => return Ok(()),
             (1, _) => "the board was seen in one view only".to_owned(),
             (_, 0) => format!("the {seen} views of the board show too few of its points"),
             (_, 1) => format!("all {seen} views show the board at the same place"),
@@ -197,8 +197,8 @@ impl ViewSelector {
             Some(_) => {}
             None => self.kept.push(new),
         }
-        if self.kept.len() > MOST_KEPT {
-            let stay = self.choose(MOST_KEPT / 2);
+        if self.kept.len() > MAX_KEPT {
+            let stay = self.choose(MAX_KEPT / 2);
             let mut index = 0;
             self.kept.retain(|_| {
                 index += 1;

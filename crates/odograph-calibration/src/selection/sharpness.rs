@@ -56,7 +56,7 @@ fn blur_around(image: &GrayImage, at: Pixel, half: isize) -> Option<f64> {
     }
     let contrast = f64::from(high) - f64::from(low);
     // Minimum contrast, gray levels; below it, sensor noise has slopes as steep as an edge.
-    const LEAST_CONTRAST: f64 = 20.0;
+    const MIN_CONTRAST: f64 = 20.0;
     let slope = 0.5 * f64::from(steepest).sqrt();
-    (contrast >= LEAST_CONTRAST).then(|| contrast / (slope * std::f64::consts::TAU.sqrt()))
+    (contrast >= MIN_CONTRAST).then(|| contrast / (slope * std::f64::consts::TAU.sqrt()))
 }

@@ -156,7 +156,7 @@ fn memory_is_bounded() {
         let points = (0..6).map(|index| SeenPoint { index, pixel: corner(n, index) }).collect();
         selector.add(picture(n, BoardView { size: (640, 480), points }));
     }
-    assert!(selector.kept.len() <= MOST_KEPT);
+    assert!(selector.kept.len() <= MAX_KEPT);
     assert_eq!(selector.chosen().len(), 60);
 }
 

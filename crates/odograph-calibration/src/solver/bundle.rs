@@ -66,7 +66,7 @@ impl BundleUnknowns {
 /// Gaussian noise 1.1 % of the points lie beyond k.
 const BEND: f64 = 3.0;
 /// Convergence threshold on the decrease of the loss per step.
-const LEAST_GAIN: f64 = 1e-4;
+const MIN_GAIN: f64 = 1e-4;
 /// Residual assumed for a point without a valid projection, pixels.
 const NOWHERE_PX: f64 = 1e4;
 
@@ -296,7 +296,7 @@ impl Bundle<'_> {
             let Some(gained) = gained else { break };
             // Two residual components of pure noise have an expected loss of 1, so a decrease this
             // small moves the estimate by about a hundredth of a standard deviation.
-            if gained < LEAST_GAIN + 1e-12 * normal.cost {
+            if gained < MIN_GAIN + 1e-12 * normal.cost {
                 return normal.cost - gained;
             }
             normal = self.linearise(state);
@@ -427,11 +427,11 @@ pub fn robust_noise_px(views: &[&[BoardCorrespondence]], state: &BundleState, un
     let numbers = 2.0 * squares.len() as f64;
     let freedom = (numbers - unknowns as f64).max(0.1 * numbers) / numbers;
     let variance = robust_variance::<2>(&mut squares);
-    variance.map_or(0.0, |variance| (variance / freedom).sqrt()).max(LEAST_NOISE_PX)
+    variance.map_or(0.0, |variance| (variance / freedom).sqrt()).max(MIN_NOISE_PX)
 }
 
 /// Lower bound of the noise, pixels; exact synthetic points would otherwise have a scale of zero.
-pub const LEAST_NOISE_PX: f64 = 1e-3;
+pub const MIN_NOISE_PX: f64 = 1e-3;
 
 /// Alternates minimisation and estimation of the noise until the noise changes by less than 5 %, at
 /// most six times. Returns the noise, pixels.

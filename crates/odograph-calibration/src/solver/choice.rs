@@ -9,7 +9,7 @@ use odograph::camera::{Camera, Distortion};
 use odograph::geometry::Pixel;
 
 /// Relative differences of the mean square error below this value are insignificant.
-const LEAST_LOSS: f64 = 0.002;
+const MIN_LOSS: f64 = 0.002;
 
 /// Factor from the excess mean square error of a model at the points to its assumed mean square ray
 /// error over the image. A misfit grows towards the image corners, where there are few points.
@@ -78,7 +78,7 @@ pub fn choose(tried: &[Tried]) -> Option<usize> {
         let count = differences.len() as f64;
         let lost = differences.iter().sum::<f64>() / count;
         let variance = differences.iter().map(|d| (d - lost).powi(2)).sum::<f64>() / (count - 1.0).max(1.0);
-        let chance = (variance / count).sqrt().max(LEAST_LOSS * mean(best));
+        let chance = (variance / count).sqrt().max(MIN_LOSS * mean(best));
         let apart_px = disagreement_px(&tried[best].camera, &tried[at].fit.state.lens);
         let apart = if at == best { 0.0 } else { apart_px.powi(2) - error(best).powi(2) };
         error(at).powi(2) + apart.max(SURE_OVER_FITTING * (lost - chance)).max(0.0)
@@ -96,7 +96,7 @@ pub fn choose(tried: &[Tried]) -> Option<usize> {
 /// the numerator has a zero, and they cancel only at the fitted coefficients: a standard deviation
 /// off, there is no lens.
 fn has_pole(camera: &Camera) -> bool {
-    const LEAST_DENOMINATOR: f64 = 0.2;
+    const MIN_DENOMINATOR: f64 = 0.2;
     const STEPS: u32 = 200;
     let Distortion::BrownConrady { k4, k5, k6, .. } = *camera.distortion() else { return false };
     let (right, bottom) = (camera.width() as f64 - 1.0, camera.height() as f64 - 1.0);
@@ -105,7 +105,7 @@ fn has_pole(camera: &Camera) -> bool {
     let widest = rays.map(|ray| ray.x.powi(2) + ray.y.powi(2)).fold(0.0, f64::max);
     (0..=STEPS).map(|step| widest * f64::from(step) / f64::from(STEPS)).any(|r2| {
         let denominator = 1.0 + r2 * (k4 + r2 * (k5 + r2 * k6));
-        denominator < LEAST_DENOMINATOR
+        denominator < MIN_DENOMINATOR
     })
 }
 

@@ -15,7 +15,7 @@ use odograph::numerics::median;
 const WRONG_DEVIATIONS: f64 = 8.0;
 const WRONG_PX: f64 = 1.0;
 /// Maximum share of points rejected as outliers.
-const MOST_WRONG: f64 = 0.03;
+const MAX_WRONG: f64 = 0.03;
 /// A view is an outlier if its noise exceeds the median noise of all views by this factor.
 const WRONG_VIEW: f64 = 3.0;
 
@@ -227,7 +227,7 @@ impl LensFit {
             far += off.filter(|off| off.is_none_or(|(dx, dy)| dx.hypot(dy) >= far_px)).count();
             all += sights[view].len();
         }
-        if far as f64 > MOST_WRONG * all as f64 {
+        if far as f64 > MAX_WRONG * all as f64 {
             return false;
         }
         for (&view, pose) in self.views.iter().zip(&self.state.poses) {

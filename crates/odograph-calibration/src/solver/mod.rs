@@ -32,7 +32,7 @@ use quality::{ErrorMap, covariance};
 /// Maximum number of points for the comparison of lens models and for the final fit; the run time
 /// is proportional to them.
 const COMPARED_POINTS: usize = 20_000;
-const MOST_POINTS: usize = 500_000;
+const MAX_POINTS: usize = 500_000;
 
 /// Estimates the camera from `views` of `board`.
 ///
@@ -55,7 +55,7 @@ pub fn calibrate(board: &Board, views: &[BoardView], config: &CalibrationConfig)
     let given: Vec<usize> = sights.iter().map(Vec::len).collect();
     let usable: Vec<usize> = (0..sights.len()).filter(|&view| reasons[view].is_none()).collect();
 
-    let usable = evenly(&usable, &sights, MOST_POINTS);
+    let usable = evenly(&usable, &sights, MAX_POINTS);
     for (view, reason) in reasons.iter_mut().enumerate() {
         if reason.is_none() && usable.binary_search(&view).is_err() {
             *reason = Some("more views than are needed".to_owned());

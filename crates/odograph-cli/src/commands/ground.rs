@@ -4,6 +4,7 @@ mod board;
 mod driving;
 mod picture;
 
+use super::frame_selection::FrameSelection;
 use crate::lengths::{self, Height, Typed};
 use crate::{Outcome, console, files};
 use odograph::camera::Camera;
@@ -55,24 +56,8 @@ pub struct GroundArguments {
     /// Without --board: a rig file to start from, for tilts of more than ten degrees.
     #[arg(help_heading = "From driving", long, value_name = "FILE", conflicts_with = "board")]
     rig: Option<PathBuf>,
-    /// Times of the frames: lines of `seconds name`, or EuRoC's CSV in nanoseconds.
-    #[arg(help_heading = "Recording", long, value_name = "FILE")]
-    timestamps: Option<PathBuf>,
-    /// Frame rate, if the source does not state it.
-    #[arg(help_heading = "Recording", long, value_name = "RATE", allow_negative_numbers = true)]
-    fps: Option<f64>,
-    /// Begin this many seconds after the first frame.
-    #[arg(help_heading = "Recording", long, value_name = "SECONDS", allow_negative_numbers = true)]
-    start: Option<f64>,
-    /// End this many seconds after the first frame.
-    #[arg(help_heading = "Recording", long, value_name = "SECONDS", allow_negative_numbers = true)]
-    end: Option<f64>,
-    /// Topic with the images, where a robot recording (MCAP, ROS bag) has several.
-    #[arg(help_heading = "Recording", long, value_name = "NAME")]
-    topic: Option<String>,
-    /// Take every n-th frame.
-    #[arg(help_heading = "Recording", long, value_name = "N", default_value_t = 1)]
-    every: u64,
+    #[command(flatten)]
+    frames: FrameSelection,
     /// Overwrite results that are already there.
     #[arg(help_heading = "Results", long)]
     force: bool,
@@ -174,16 +159,7 @@ fn read_camera(path: &Path, size: (usize, usize)) -> Result<(Camera, Option<Came
 
 impl GroundArguments {
     fn source_options(&self) -> SourceOptions {
-        SourceOptions {
-            timestamps: self.timestamps.clone(),
-            fps: self.fps,
-            start_s: self.start,
-            end_s: self.end,
-            every: self.every,
-            color: true,
-            topic: self.topic.clone(),
-            ..SourceOptions::default()
-        }
+        SourceOptions { color: true, ..self.frames.source_options() }
     }
 }
 

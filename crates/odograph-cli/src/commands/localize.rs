@@ -8,7 +8,7 @@ use odograph::error::{Error, Result};
 use odograph_map::MapFile;
 use odograph_report::HtmlReporter;
 use odograph_session::{
-    AlikePlace, MapUse, PlaceInMap, ResemblanceVerdict, RunBuilder, RunEnd, RunOutcome, RunStatistics,
+    AlikePlace, MapUse, PoseInMap, ResemblanceVerdict, RunBuilder, RunEnd, RunOutcome, RunStatistics,
     SourcePlan,
 };
 use serde::Serialize;
@@ -126,7 +126,7 @@ struct LocalizationJson<'a> {
     recognised: bool,
     /// `found`, or the reason why not.
     verdict: &'static str,
-    place: Option<PlaceInMap>,
+    place: Option<PoseInMap>,
     /// The source of the nearest keyframe's session.
     session_source: Option<String>,
     /// The possible places if none is certain; the most probable first.
@@ -136,7 +136,7 @@ struct LocalizationJson<'a> {
 
 fn print_result(arguments: &LocalizeArguments, report: &RunOutcome) -> Result<()> {
     let sessions = MapFile::open_read_only(&arguments.map)?.sessions()?;
-    let source = |place: &PlaceInMap| {
+    let source = |place: &PoseInMap| {
         let session = sessions.iter().find(|session| session.id == place.session)?;
         Some(session.source.clone())
     };
@@ -199,7 +199,7 @@ fn rounded(number: f64, decimals: usize) -> String {
     }
 }
 
-fn sentence(place: &PlaceInMap, source: Option<String>, frames: u64) -> String {
+fn sentence(place: &PoseInMap, source: Option<String>, frames: u64) -> String {
     let at = match frames {
         1 => String::new(),
         _ => format!("at frame {} ({:.2} s): ", place.frame, place.time_s),

@@ -8,6 +8,7 @@ pub mod completions;
 pub mod demo;
 pub mod doctor;
 pub mod evaluate;
+mod frame_selection;
 pub mod ground;
 pub mod info;
 pub mod live;

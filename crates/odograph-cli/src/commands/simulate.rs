@@ -70,12 +70,12 @@ pub struct SimulateArguments {
     ///
     /// [default distance: 3 cm] Both take units: 8mm:3cm.
     #[arg(long, value_name = "MM[:SCALE_CM]", value_parser = scene::parse_mm_cm, help_heading = "Ground and way")]
-    relief: Option<scene::Pair>,
+    relief: Option<scene::PairOption>,
     /// Undulation by this many centimetres, and its wavelength, metres
     ///
     /// [default wavelength: 2 m] Both take units: 5cm:2m.
     #[arg(long, value_name = "CM[:WAVELENGTH_M]", value_parser = scene::parse_cm_m, help_heading = "Ground and way")]
-    undulation: Option<scene::Pair>,
+    undulation: Option<scene::PairOption>,
     /// A step across the path, centimetres (negative: down), and its x, metres
     ///
     /// [default x: 1 m] Both take units: 5cm:1m.
@@ -86,7 +86,7 @@ pub struct SimulateArguments {
         allow_hyphen_values = true,
         help_heading = "Ground and way"
     )]
-    kerb: Option<scene::Pair>,
+    kerb: Option<scene::PairOption>,
     /// An incline in percent (negative: down), and the x where it begins, metres
     ///
     /// [default x: 1 m]
@@ -97,7 +97,7 @@ pub struct SimulateArguments {
         allow_hyphen_values = true,
         help_heading = "Ground and way"
     )]
-    ramp: Option<scene::Pair>,
+    ramp: Option<scene::PairOption>,
     /// The camera follows undulation, kerb and ramp on wheels 0.5 m apart
     ///
     /// Otherwise it keeps its height and stays upright.
@@ -107,7 +107,7 @@ pub struct SimulateArguments {
     ///
     /// [default share: 0.3]
     #[arg(long, value_name = "PX[:SHARE]", value_parser = scene::parse_pair, help_heading = "Ground and way")]
-    sway: Option<scene::Pair>,
+    sway: Option<scene::PairOption>,
     /// Markers along the path: family, dictionary, side and distance
     ///
     /// Such as apriltag:36h11:80mm:10m. markers.csv has their true places.
@@ -249,7 +249,7 @@ pub struct SimulateArguments {
     ///
     /// [default time: 5 s]
     #[arg(long, value_name = "PERCENT[:SECONDS]", value_parser = scene::parse_pair, help_heading = "Effects")]
-    breathing: Option<scene::Pair>,
+    breathing: Option<scene::PairOption>,
     /// A bumper covers this share of the image from its bottom edge and stands still in it
     #[arg(long, value_name = "SHARE", num_args = 0..=1, default_missing_value = "0.15", help_heading = "Effects")]
     bumper: Option<f64>,

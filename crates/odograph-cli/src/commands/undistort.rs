@@ -3,6 +3,7 @@
 mod output;
 mod pipeline;
 
+use super::frame_selection::FrameSelection;
 use crate::{Outcome, console, files};
 use odograph::correction::{FieldOfViewKept, ImageCorrection};
 use odograph::error::{Error, Result};
@@ -37,24 +38,8 @@ pub struct UndistortArguments {
     /// Gray frames, even if the source has colour.
     #[arg(help_heading = "Results", long)]
     gray: bool,
-    /// Times of the frames: lines of `seconds name`, or EuRoC's CSV in nanoseconds.
-    #[arg(help_heading = "Recording", long, value_name = "FILE")]
-    timestamps: Option<PathBuf>,
-    /// Frame rate, if the source does not state it.
-    #[arg(help_heading = "Recording", long, value_name = "RATE", allow_negative_numbers = true)]
-    fps: Option<f64>,
-    /// Begin this many seconds after the first frame.
-    #[arg(help_heading = "Recording", long, value_name = "SECONDS", allow_negative_numbers = true)]
-    start: Option<f64>,
-    /// End this many seconds after the first frame.
-    #[arg(help_heading = "Recording", long, value_name = "SECONDS", allow_negative_numbers = true)]
-    end: Option<f64>,
-    /// Topic with the images, where a robot recording (MCAP, ROS bag) has several.
-    #[arg(help_heading = "Recording", long, value_name = "NAME")]
-    topic: Option<String>,
-    /// Take every n-th frame.
-    #[arg(help_heading = "Recording", long, value_name = "N", default_value_t = 1)]
-    every: u64,
+    #[command(flatten)]
+    frames: FrameSelection,
     /// Take at most this many frames.
     #[arg(help_heading = "Recording", long, value_name = "N")]
     max_frames: Option<u64>,
@@ -108,14 +93,9 @@ enum OutputFormat {
 pub fn undistort(arguments: UndistortArguments) -> Result<Outcome> {
     let camera_text = files::read_text(&arguments.camera)?;
     let options = SourceOptions {
-        timestamps: arguments.timestamps.clone(),
-        fps: arguments.fps,
-        start_s: arguments.start,
-        end_s: arguments.end,
-        every: arguments.every,
         max_frames: arguments.max_frames,
         color: !arguments.gray,
-        topic: arguments.topic.clone(),
+        ..arguments.frames.source_options()
     };
     let source = odograph_video::open(&arguments.source, &options)?;
     let (width, height) = (source.info().width, source.info().height);

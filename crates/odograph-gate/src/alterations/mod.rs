@@ -122,138 +122,180 @@ pub enum Alteration {
 impl Alteration {
     /// Applies it to all images of a clip.
     pub fn apply(self, clip: &mut Clip, seed: u64) {
-        let originals: Vec<GrayImage> = clip.frames.iter().map(|(_, image)| image.clone()).collect();
-        let mut random = RandomStream(seed.wrapping_mul(0x9E37_79B9_7F4A_7C15) | 1);
-        let mut kept: Vec<f64> = Vec::new();
-        let track = Track::new(clip);
-        let size = clip.frames.first().map_or((0, 0), |(_, image)| (image.width(), image.height()));
-        let smears = match self {
-            Self::DirtyWindow { .. } => transmission::smears(size, seed),
-            _ => Vec::new(),
-        };
-        let drops: Vec<(f64, f64, f64)> = (0..30)
-            .map(|_| {
-                (
-                    random.below(size.0.max(1)) as f64,
-                    random.below(size.1.max(1)) as f64,
-                    12.0 + random.below(24) as f64,
-                )
-            })
-            .collect();
+        let mut source = AlterationSource::new(self, clip, seed);
         for (number, (time_s, image)) in clip.frames.iter_mut().enumerate() {
-            let before = originals.get(number.wrapping_sub(1));
-            let (width, height) = (image.width(), image.height());
             let mut samples = image.samples().to_vec();
-            match self {
-                Self::Sharpened { amount } => sharpen(image, amount, &mut samples),
-                Self::Ghosting { share } => {
-                    if kept.is_empty() {
-                        kept = samples.iter().map(|&sample| f64::from(sample)).collect();
-                    }
-                    for (kept, sample) in kept.iter_mut().zip(&mut samples) {
-                        *kept = share * *kept + (1.0 - share) * f64::from(*sample);
-                        *sample = kept.round() as u8;
-                    }
-                }
-                Self::Overlay => overlay(number, width, &mut samples),
-                Self::Bands { amount } => {
-                    for (y, row) in samples.chunks_exact_mut(width).enumerate() {
-                        let row_s = *time_s + 0.02 * y as f64 / height as f64;
-                        let gain = 1.0 + amount * (TAU * 100.0 * row_s).sin();
-                        row.iter_mut().for_each(|sample| *sample = (gain * f64::from(*sample)) as u8);
-                    }
-                }
-                Self::Duplicated { every } => {
-                    if number % every == every - 1
-                        && let Some(before) = before
-                    {
-                        samples.copy_from_slice(before.samples());
-                    }
-                }
-                Self::Rain { streaks } => {
-                    for _ in 0..streaks {
-                        let (x, y) = (random.below(width), random.below(height));
-                        for step in 0..24.min(height - y) {
-                            let at = (y + step) * width + (x + step / 6).min(width - 1);
-                            samples[at] = samples[at].saturating_add(60);
-                        }
-                    }
-                }
-                Self::Interlaced => {
-                    if let Some(before) = before {
-                        for y in (1..height).step_by(2) {
-                            let row = y * width..(y + 1) * width;
-                            samples[row.clone()].copy_from_slice(&before.samples()[row]);
-                        }
-                    }
-                }
-                Self::Upscaled => upscale(image, &mut samples),
-                Self::Caustics { amount } => light::caustics(*time_s, width, amount, &mut samples),
-                Self::Drops { count } => light::drops(image, &drops[..count.min(drops.len())], &mut samples),
-                Self::Snow { flakes } => light::snow(width, flakes, &mut random, &mut samples),
-                Self::Wheel { radius_px } => {
-                    light::wheel(track.path_m[number], width, radius_px, &mut samples)
-                }
-                Self::Reflection { amount } => {
-                    light::reflection(track.shift_px[number], width, amount, &mut samples)
-                }
-                Self::Swinging => light::swinging(*time_s, width, &mut samples),
-                Self::Thermal { gray } => transmission::thermal(width, gray, seed, &mut samples),
-                Self::DirtyWindow { gray } => {
-                    transmission::dirty_window(&smears, gray, &mut samples);
-                }
-                Self::Grille => transmission::grille(width, &mut samples),
-                Self::DarkSensor { light } => {
-                    transmission::dark_sensor(width, light, seed, &mut random, &mut samples);
-                }
-                Self::Torn => {
-                    if let Some(before) = before {
-                        transmission::torn(number, before, &mut samples);
-                    }
-                }
-                Self::LostBlocks { share } => {
-                    if let Some(before) = originals.get(number.wrapping_sub(2)) {
-                        transmission::lost_blocks(before, share, &mut random, &mut samples);
-                    }
-                }
-                Self::Blocky { quantum } => transmission::blocky(width, quantum, &mut samples),
-                Self::ToneMapped => transmission::tone_mapped(image, &mut samples),
-                Self::Clipped { at } => {
-                    samples.iter_mut().for_each(|sample| *sample = (f64::from(*sample) / at).min(255.0) as u8)
-                }
-                Self::Posterized { levels } => {
-                    let step = 256.0 / levels as f64;
-                    samples.iter_mut().for_each(|sample| {
-                        *sample = (step * ((f64::from(*sample) / step).floor() + 0.5)) as u8
-                    });
-                }
-                Self::Swapped { every } => {
-                    let other = match number % every {
-                        n if n + 2 == every => number + 1,
-                        n if n + 1 == every => number - 1,
-                        _ => number,
-                    };
-                    if let Some(other) = originals.get(other) {
-                        samples.copy_from_slice(other.samples());
-                    }
+            self.alter(number, *time_s, image, &mut source, &mut samples);
+            if let Some(altered) = GrayImage::from_samples(image.width(), image.height(), samples) {
+                *image = altered;
+            }
+        }
+    }
+
+    /// Alters the samples of an image.
+    fn alter(
+        self,
+        number: usize,
+        time_s: f64,
+        image: &GrayImage,
+        source: &mut AlterationSource,
+        samples: &mut [u8],
+    ) {
+        let (width, seed) = (image.width(), source.seed);
+        let before = source.originals.get(number.wrapping_sub(1));
+        let random = &mut source.random;
+        match self {
+            Self::Sharpened { amount } => sharpen(image, amount, samples),
+            Self::Ghosting { share } => ghost(share, &mut source.ghost, samples),
+            Self::Overlay => overlay(number, width, samples),
+            Self::Bands { amount } => bands(time_s, image, amount, samples),
+            Self::Duplicated { every } => {
+                if let Some(before) = before.filter(|_| number % every == every - 1) {
+                    samples.copy_from_slice(before.samples());
                 }
             }
-            if let Some(altered) = GrayImage::from_samples(width, height, samples) {
-                *image = altered;
+            Self::Rain { streaks } => rain(image, streaks, random, samples),
+            Self::Interlaced => {
+                if let Some(before) = before {
+                    interlace(before, samples);
+                }
+            }
+            Self::Upscaled => upscale(image, samples),
+            Self::Caustics { amount } => light::caustics(time_s, width, amount, samples),
+            Self::Drops { count } => {
+                light::drops(image, &source.drops[..count.min(source.drops.len())], samples);
+            }
+            Self::Snow { flakes } => light::snow(width, flakes, random, samples),
+            Self::Wheel { radius_px } => {
+                light::wheel(source.motion.path_m[number], width, radius_px, samples)
+            }
+            Self::Reflection { amount } => {
+                light::reflection(source.motion.shift_px[number], width, amount, samples);
+            }
+            Self::Swinging => light::swinging(time_s, width, samples),
+            Self::Thermal { gray } => transmission::thermal(width, gray, seed, samples),
+            Self::DirtyWindow { gray } => transmission::dirty_window(&source.smears, gray, samples),
+            Self::Grille => transmission::grille(width, samples),
+            Self::DarkSensor { light } => transmission::dark_sensor(width, light, seed, random, samples),
+            Self::Torn => {
+                if let Some(before) = before {
+                    transmission::torn(number, before, samples);
+                }
+            }
+            Self::LostBlocks { share } => {
+                if let Some(before) = source.originals.get(number.wrapping_sub(2)) {
+                    transmission::lost_blocks(before, share, random, samples);
+                }
+            }
+            Self::Blocky { quantum } => transmission::blocky(width, quantum, samples),
+            Self::ToneMapped => transmission::tone_mapped(image, samples),
+            Self::Clipped { at } => {
+                samples.iter_mut().for_each(|sample| *sample = (f64::from(*sample) / at).min(255.0) as u8);
+            }
+            Self::Posterized { levels } => posterize(levels, samples),
+            Self::Swapped { every } => {
+                if let Some(other) = source.originals.get(swapped_with(number, every)) {
+                    samples.copy_from_slice(other.samples());
+                }
             }
         }
     }
 }
 
+/// What the alterations of all images of a clip draw on.
+struct AlterationSource {
+    seed: u64,
+    originals: Vec<GrayImage>,
+    motion: TrueMotion,
+    random: RandomStream,
+    /// Running mean of [`Alteration::Ghosting`]; empty before the first image.
+    ghost: Vec<f64>,
+    /// Of [`Alteration::DirtyWindow`].
+    smears: Vec<f64>,
+    /// Centres and radii of drops, pixels.
+    drops: Vec<(f64, f64, f64)>,
+}
+
+impl AlterationSource {
+    fn new(alteration: Alteration, clip: &Clip, seed: u64) -> Self {
+        let originals: Vec<GrayImage> = clip.frames.iter().map(|(_, image)| image.clone()).collect();
+        let mut random = RandomStream(seed.wrapping_mul(0x9E37_79B9_7F4A_7C15) | 1);
+        let size = originals.first().map_or((0, 0), |image| (image.width(), image.height()));
+        let smears = match alteration {
+            Alteration::DirtyWindow { .. } => transmission::smears(size, seed),
+            _ => Vec::new(),
+        };
+        let drop = |_| {
+            let x = random.below(size.0.max(1)) as f64;
+            let y = random.below(size.1.max(1)) as f64;
+            (x, y, 12.0 + random.below(24) as f64)
+        };
+        let drops = (0..30).map(drop).collect();
+        Self { seed, originals, motion: TrueMotion::new(clip), random, ghost: Vec::new(), smears, drops }
+    }
+}
+
+fn ghost(share: f64, ghost: &mut Vec<f64>, samples: &mut [u8]) {
+    if ghost.is_empty() {
+        *ghost = samples.iter().map(|&sample| f64::from(sample)).collect();
+    }
+    for (kept, sample) in ghost.iter_mut().zip(samples) {
+        *kept = share * *kept + (1.0 - share) * f64::from(*sample);
+        *sample = kept.round() as u8;
+    }
+}
+
+fn bands(time_s: f64, image: &GrayImage, amount: f64, samples: &mut [u8]) {
+    for (y, row) in samples.chunks_exact_mut(image.width()).enumerate() {
+        let row_s = time_s + 0.02 * y as f64 / image.height() as f64;
+        let gain = 1.0 + amount * (TAU * 100.0 * row_s).sin();
+        row.iter_mut().for_each(|sample| *sample = (gain * f64::from(*sample)) as u8);
+    }
+}
+
+fn rain(image: &GrayImage, streaks: usize, random: &mut RandomStream, samples: &mut [u8]) {
+    let (width, height) = (image.width(), image.height());
+    for _ in 0..streaks {
+        let (x, y) = (random.below(width), random.below(height));
+        for step in 0..24.min(height - y) {
+            let at = (y + step) * width + (x + step / 6).min(width - 1);
+            samples[at] = samples[at].saturating_add(60);
+        }
+    }
+}
+
+fn interlace(before: &GrayImage, samples: &mut [u8]) {
+    for y in (1..before.height()).step_by(2) {
+        let row = y * before.width()..(y + 1) * before.width();
+        samples[row.clone()].copy_from_slice(&before.samples()[row]);
+    }
+}
+
+fn posterize(levels: usize, samples: &mut [u8]) {
+    let step = 256.0 / levels as f64;
+    samples
+        .iter_mut()
+        .for_each(|sample| *sample = (step * ((f64::from(*sample) / step).floor() + 0.5)) as u8);
+}
+
+/// The image that takes the place of image `number`.
+fn swapped_with(number: usize, every: usize) -> usize {
+    match number % every {
+        n if n + 2 == every => number + 1,
+        n if n + 1 == every => number - 1,
+        _ => number,
+    }
+}
+
 /// True motion of the camera in a clip.
-struct Track {
+struct TrueMotion {
     /// Length of the path up to each frame, metres.
     path_m: Vec<f64>,
     /// Displacement of the image of the ground since the first frame, pixels.
     shift_px: Vec<(f64, f64)>,
 }
 
-impl Track {
+impl TrueMotion {
     fn new(clip: &Clip) -> Self {
         let px_per_m = clip.camera.focal_px().0 / clip.rig.first_pose().height_m;
         let (mut path_m, mut shift_px) = (vec![0.0], vec![(0.0, 0.0)]);

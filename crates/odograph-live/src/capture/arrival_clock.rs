@@ -9,24 +9,26 @@ use std::collections::VecDeque;
 
 /// Arrivals that determine the period: several bursts of a network.
 const WINDOW: usize = 120;
-/// Frames and seconds that the window must span for the period to be known; until then it is taken
-/// to be no shorter than [`SHORTEST_PERIOD_S`].
-const LEAST_FRAMES: usize = 12;
-const LEAST_SPAN_S: f64 = 1.0;
+/// Number of frames and seconds that the window must span before the period is estimated; until
+/// then the period is taken to be no shorter than [`SHORTEST_PERIOD_S`].
+const MIN_FRAMES: usize = 12;
+const MIN_SPAN_S: f64 = 1.0;
 const SHORTEST_PERIOD_S: f64 = 1.0 / 60.0;
-/// A frame that is later than this after the one before it, seconds and periods, was not delayed:
-/// frames between them are missing.
+/// A frame that arrives later than this after the one before it, in seconds and in periods, was not
+/// delayed: frames between them are missing.
 const LONGEST_DELAY_S: f64 = 0.7;
 const LONGEST_DELAY_PERIODS: f64 = 4.0;
-/// Frames over which the least delay is taken, and the share of it that is corrected per frame.
+/// Number of frames over which the least delay is taken, and the share of it corrected with each
+/// frame. More frames and a smaller share give a steadier clock, which follows a change of the
+/// delay more slowly.
 const ENVELOPE: usize = 30;
 const CORRECTED: f64 = 0.1;
-/// The same where a frame would have been taken after its arrival.
+/// The share where a frame would be stamped after its arrival, which is impossible and so corrected
+/// sooner.
 const CORRECTED_BACK: f64 = 0.3;
-/// No frame is closer to the one before it than this share of the period, nor, without a gap, much
-/// farther.
-const LEAST_STEP: f64 = 0.5;
-const MOST_STEP: f64 = 2.0;
+/// Smallest interval between two stamps, in periods, and the largest without a missing frame.
+const MIN_STEP: f64 = 0.5;
+const MAX_STEP: f64 = 2.0;
 
 /// Clock of a camera that is known by the arrival of its frames.
 #[derive(Debug, Default)]
@@ -59,7 +61,7 @@ impl ArrivalClock {
                 newest.0 = self.count;
             }
             self.delays_s.clear();
-            let time_s = arrival_s.max(last_s + LEAST_STEP * period_s);
+            let time_s = arrival_s.max(last_s + MIN_STEP * period_s);
             self.last_s = Some(time_s);
             return time_s;
         }
@@ -80,7 +82,7 @@ impl ArrivalClock {
             // A frame does not arrive before it is taken; a clock that is late is corrected slowly.
             let corrected = if least_s < 0.0 { CORRECTED_BACK } else { CORRECTED };
             let step_s = period_s + corrected * least_s;
-            let step_s = step_s.clamp(LEAST_STEP * period_s, MOST_STEP * period_s);
+            let step_s = step_s.clamp(MIN_STEP * period_s, MAX_STEP * period_s);
             self.delays_s.iter_mut().for_each(|delay_s| *delay_s -= step_s - period_s);
             last_s + step_s
         } else {
@@ -111,7 +113,7 @@ impl ArrivalClock {
             (Some(first), Some(last)) => last.1 - first.1,
             _ => 0.0,
         };
-        let known = self.arrivals.len() >= LEAST_FRAMES && span_s >= LEAST_SPAN_S && slope_s > 0.0;
+        let known = self.arrivals.len() >= MIN_FRAMES && span_s >= MIN_SPAN_S && slope_s > 0.0;
         (if known { slope_s } else { slope_s.max(SHORTEST_PERIOD_S) }, known)
     }
 }

@@ -2,9 +2,9 @@
 
 use std::time::Duration;
 
-/// The pause after the first failure.
+/// The pause after the first failure: short, for a connection that is back at once.
 const FIRST: Duration = Duration::from_millis(250);
-/// The longest pause.
+/// The longest pause: longer disturbs the network less, shorter finds the camera sooner.
 const LONGEST: Duration = Duration::from_secs(8);
 
 /// State of the backoff: the next pause and the total time waited.

@@ -4,9 +4,9 @@
 use std::io::{self, BufRead, Read};
 
 /// Maximum size of an image, bytes.
-const MOST_PICTURE: usize = 32 << 20;
+const MAX_PICTURE: usize = 32 << 20;
 /// Maximum length of a part's header section, bytes.
-const MOST_HEAD: u64 = 16 << 10;
+const MAX_HEAD: u64 = 16 << 10;
 
 /// Splits a body into its parts.
 pub(super) struct Multipart<R> {
@@ -73,12 +73,12 @@ impl<R: BufRead> Multipart<R> {
                 break;
             }
             skipped += line.len();
-            if skipped > MOST_PICTURE {
+            if skipped > MAX_PICTURE {
                 return Err(damaged("the stream has no boundary where it should"));
             }
         }
         match self.head()? {
-            Some(length) if length > MOST_PICTURE => Err(damaged("a picture of the stream is too large")),
+            Some(length) if length > MAX_PICTURE => Err(damaged("a picture of the stream is too large")),
             Some(length) => {
                 let read = (&mut self.reader).take(length as u64).read_to_end(part)?;
                 Ok(read == length)
@@ -96,7 +96,7 @@ impl<R: BufRead> Multipart<R> {
         loop {
             self.line(&mut line)?;
             total += line.len() as u64;
-            if line.is_empty() || total > MOST_HEAD {
+            if line.is_empty() || total > MAX_HEAD {
                 return Err(damaged("the head of a picture in the stream does not end"));
             }
             let text = String::from_utf8_lossy(&line);
@@ -142,7 +142,7 @@ impl<R: BufRead> Multipart<R> {
                 return Ok(true);
             }
             self.reader.consume(taken);
-            if part.len() > MOST_PICTURE {
+            if part.len() > MAX_PICTURE {
                 return Err(damaged("a picture of the stream is too large"));
             }
         }
@@ -154,7 +154,7 @@ impl<R: BufRead> Multipart<R> {
         if std::mem::take(&mut self.delimiter_taken) {
             line.extend_from_slice(&self.delimiter);
         }
-        (&mut self.reader).take(MOST_HEAD).read_until(b'\n', line)?;
+        (&mut self.reader).take(MAX_HEAD).read_until(b'\n', line)?;
         Ok(())
     }
 }

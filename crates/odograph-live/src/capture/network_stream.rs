@@ -11,7 +11,7 @@ type OpenStream = Box<dyn FnMut() -> Result<Source> + Send>;
 
 /// Least time from one frame to the next, seconds: cameras in networks have no more than 120
 /// frames a second.
-const LEAST_STEP_S: f64 = 1.0 / 120.0;
+const MIN_STEP_S: f64 = 1.0 / 120.0;
 
 /// A network stream with reconnection.
 pub struct NetworkStream {
@@ -99,7 +99,7 @@ impl NetworkStream {
         });
         // Timestamps must increase for the velocity to be defined, and not by a small step, which
         // would make a great velocity.
-        let least_s = self.newest.map_or(f64::NEG_INFINITY, |(_, time_s)| time_s + LEAST_STEP_S);
+        let least_s = self.newest.map_or(f64::NEG_INFINITY, |(_, time_s)| time_s + MIN_STEP_S);
         frame.time_s = (frame.time_s + shift_s).max(least_s);
         frame.number = self.number;
         self.number += 1;

@@ -30,7 +30,8 @@ use std::path::{Path, PathBuf};
 
 /// Duration of a chunk, and interval between two updates of the trajectory, nanoseconds.
 const SECOND: u64 = 1_000_000_000;
-/// Maximum size of a chunk, bytes: the data at risk if the process is killed.
+/// Maximum size of a chunk, bytes: larger compresses better, but is what is lost if the process is
+/// killed.
 const LARGEST_CHUNK: u64 = 8 << 20;
 
 /// The image of a frame with its tracks.

@@ -1,8 +1,9 @@
 //! A trajectory with a bounded number of points: the longer it is, the larger their spacing.
 
 /// Maximum number of points. A viewer that seeks in time must read all of them at once.
-const MOST_POINTS: usize = 1000;
-/// Initial minimum distance between two points, metres.
+const MAX_POINTS: usize = 1000;
+/// Initial minimum distance between two points, metres; it doubles whenever [`MAX_POINTS`] are
+/// reached.
 const FIRST_SPACING_M: f64 = 5e-3;
 
 /// The thinned trajectory so far.
@@ -29,17 +30,17 @@ impl PathSketch {
         }
         self.newest = None;
         self.points.push((segment, place));
-        while self.points.len() > MOST_POINTS {
+        while self.points.len() > MAX_POINTS {
             self.spacing_m *= 2.0;
-            let mut kept: Vec<(usize, [f64; 2])> = Vec::with_capacity(MOST_POINTS + 1);
+            let mut kept: Vec<(usize, [f64; 2])> = Vec::with_capacity(MAX_POINTS + 1);
             for &point in &self.points {
                 if self.is_far(kept.last(), point) {
                     kept.push(point);
                 }
             }
             // So many gaps that each segment has a single point: drop the oldest ones.
-            if kept.len() > MOST_POINTS && self.spacing_m > 1e6 {
-                kept.drain(..kept.len() - MOST_POINTS);
+            if kept.len() > MAX_POINTS && self.spacing_m > 1e6 {
+                kept.drain(..kept.len() - MAX_POINTS);
             }
             self.points = kept;
         }
@@ -77,7 +78,7 @@ mod tests {
         let stretches = sketch.stretches();
         let points: usize = stretches.iter().map(Vec::len).sum();
         assert_eq!(stretches.len(), 10);
-        assert!((MOST_POINTS / 3..=MOST_POINTS + 1).contains(&points), "{points}");
+        assert!((MAX_POINTS / 3..=MAX_POINTS + 1).contains(&points), "{points}");
         assert_eq!((stretches[0][0], *stretches[9].last().unwrap()), ([0.0, 0.0], [99.5, 0.0]));
         // No holes: the distance of neighbours is at most the spacing plus one step.
         let widest =
@@ -86,6 +87,6 @@ mod tests {
         // The size is also bounded if every point is a segment of its own.
         let mut torn = PathSketch::default();
         (0..3000).for_each(|segment| torn.add(segment, [segment as f64, 0.0]));
-        assert!(torn.stretches().len() <= MOST_POINTS + 1);
+        assert!(torn.stretches().len() <= MAX_POINTS + 1);
     }
 }

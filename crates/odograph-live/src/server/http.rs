@@ -6,9 +6,9 @@ use std::net::TcpStream;
 use std::time::Duration;
 
 /// Maximum length of a request's header section, bytes.
-const MOST_HEAD: usize = 8 << 10;
+const MAX_HEAD: usize = 8 << 10;
 /// Maximum length of a request's body unless the server admits more, bytes.
-const MOST_BODY: usize = 4 << 10;
+const MAX_BODY: usize = 4 << 10;
 /// Time limit for a complete request, from the previous response or from the start of the
 /// connection.
 const REQUEST_PATIENCE: Duration = Duration::from_secs(8);
@@ -96,7 +96,7 @@ impl RequestReader {
     /// If it is invalid, incomplete, or longer than any that is answered.
     #[allow(clippy::should_implement_trait)] // a refusal ends the connection, not an iteration
     pub fn next(&mut self) -> Result<Option<Request>, HttpRefusal> {
-        self.next_admitted(&|_| Ok(MOST_BODY))
+        self.next_admitted(&|_| Ok(MAX_BODY))
     }
 
     /// As [`RequestReader::next`]; `admit` sees the request without its body, and refuses it or
@@ -112,12 +112,12 @@ impl RequestReader {
         let (mut request, head_length, body_length) = loop {
             match parse_head(&self.buffer)? {
                 Some(parsed) => break parsed,
-                None if self.buffer.len() >= MOST_HEAD => {
+                None if self.buffer.len() >= MAX_HEAD => {
                     return Err(HttpRefusal(431, "Request Header Fields Too Large"));
                 }
                 None => {}
             }
-            if !self.read_more(MOST_HEAD)? {
+            if !self.read_more(MAX_HEAD)? {
                 return if self.buffer.is_empty() {
                     Ok(None)
                 } else {
@@ -128,7 +128,7 @@ impl RequestReader {
         if body_length > admit(&request)? {
             return Err(HttpRefusal(413, "Content Too Large"));
         }
-        if body_length > MOST_BODY {
+        if body_length > MAX_BODY {
             self.stream.allow(BODY_PATIENCE);
         }
         while self.buffer.len() < head_length + body_length {

@@ -8,7 +8,7 @@ use std::sync::atomic::{AtomicBool, AtomicUsize, Ordering};
 use std::thread::{self, JoinHandle};
 use std::time::Duration;
 
-/// Stack of a connection's thread, bytes.
+/// Stack of a connection's thread, bytes: small, so that every connection can have one.
 const STACK: usize = 256 << 10;
 
 /// A listening socket whose connections are served until it is dropped.

@@ -2,7 +2,7 @@
 //! thread per connection.
 //!
 //! All input is untrusted. Requests are limited in size and time, responses in time. There are at
-//! most [`MOST_CONNECTIONS`] connections, and no thread holds a lock while it waits for its client,
+//! most [`MAX_CONNECTIONS`] connections, and no thread holds a lock while it waits for its client,
 //! so a client can only slow down itself.
 
 pub mod access;
@@ -28,8 +28,8 @@ pub fn read_request(bytes: &[u8]) {
     http::read_head(bytes);
 }
 
-/// Maximum number of connections; further ones are refused immediately.
-pub const MOST_CONNECTIONS: usize = 256;
+/// Maximum number of connections, each with a thread; further ones are refused immediately.
+pub const MAX_CONNECTIONS: usize = 256;
 
 /// Access token and downloadable files.
 #[derive(Debug, Clone, Default)]
@@ -47,20 +47,20 @@ pub struct ServerOptions {
 #[derive(Debug)]
 pub struct Server {
     token: Option<String>,
-    shared: Arc<ServerState>,
+    shared: Arc<LiveServerState>,
     listener: Listener,
 }
 
 /// State shared by the threads of all connections.
-struct ServerState {
+struct LiveServerState {
     hub: Arc<Hub>,
     access: Access,
     options: ServerOptions,
 }
 
-impl std::fmt::Debug for ServerState {
+impl std::fmt::Debug for LiveServerState {
     fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
-        f.debug_struct("ServerState").field("options", &self.options).finish_non_exhaustive()
+        f.debug_struct("LiveServerState").field("options", &self.options).finish_non_exhaustive()
     }
 }
 
@@ -71,10 +71,10 @@ impl Server {
     /// If the address is not available, or if it is not a loopback address and there is no token.
     pub fn start(address: SocketAddr, hub: Arc<Hub>, options: ServerOptions) -> Result<Self> {
         let token = options.token.clone();
-        let shared = Arc::new(ServerState { hub, access: Access::new(token.clone()), options });
+        let shared = Arc::new(LiveServerState { hub, access: Access::new(token.clone()), options });
         let state = Arc::clone(&shared);
         let serve = move |connection: &Connection, stream: TcpStream| serve(&state, connection, stream);
-        let listener = Listener::start(address, token.is_some(), MOST_CONNECTIONS, serve)?;
+        let listener = Listener::start(address, token.is_some(), MAX_CONNECTIONS, serve)?;
         Ok(Self { token, shared, listener })
     }
 
@@ -111,7 +111,7 @@ impl Drop for Server {
 }
 
 /// Serves one connection: requests in sequence, until it becomes a WebSocket or ends.
-fn serve(shared: &ServerState, connection: &Connection, stream: TcpStream) -> io::Result<()> {
+fn serve(shared: &LiveServerState, connection: &Connection, stream: TcpStream) -> io::Result<()> {
     stream.set_nodelay(true)?;
     let mut reader = http::RequestReader::new(stream);
     while !connection.is_ended() {

@@ -1,6 +1,6 @@
 //! The routes of the server.
 
-use super::ServerState;
+use super::LiveServerState;
 use super::access::AccessVerdict;
 use super::deadline::Deadlined;
 use super::http::{ANSWER_PATIENCE, Answer, HttpRefusal, Method, Request};
@@ -38,7 +38,7 @@ const NOT_FOUND: HttpRefusal = HttpRefusal(404, "Not Found");
 const JSON: &str = "application/json";
 
 /// Answers a request.
-pub fn answer(shared: &ServerState, request: &Request, stream: &mut Deadlined) -> io::Result<Next> {
+pub fn answer(shared: &LiveServerState, request: &Request, stream: &mut Deadlined) -> io::Result<Next> {
     let verdict = shared.access.judge(request);
     let answer = match (verdict, request.method, request.path.as_str()) {
         (AccessVerdict::Denied, _, _) => Answer::refusal(HttpRefusal(403, "Forbidden")),
@@ -69,7 +69,7 @@ pub fn answer(shared: &ServerState, request: &Request, stream: &mut Deadlined) -
     Ok(Next::Request)
 }
 
-fn get(shared: &ServerState, path: &str) -> Answer {
+fn get(shared: &LiveServerState, path: &str) -> Answer {
     if let Some((_, content_type, body)) = PAGE.iter().find(|(known, _, _)| *known == path) {
         return Answer::ok(content_type, *body);
     }
@@ -96,7 +96,7 @@ fn get(shared: &ServerState, path: &str) -> Answer {
     found.unwrap_or_else(|| Answer::refusal(NOT_FOUND))
 }
 
-fn post(shared: &ServerState, request: &Request, path: &str) -> Answer {
+fn post(shared: &LiveServerState, request: &Request, path: &str) -> Answer {
     match path {
         "/mark" => match shared.hub.mark(&String::from_utf8_lossy(&request.body)) {
             Some(mark) => Answer::ok(JSON, json!(mark).to_string()),
@@ -117,7 +117,7 @@ fn tile(path: &str) -> Option<MosaicSquare> {
 }
 
 /// The downloadable files that exist, with their sizes in bytes.
-fn files(shared: &ServerState) -> Vec<serde_json::Value> {
+fn files(shared: &LiveServerState) -> Vec<serde_json::Value> {
     let Some(folder) = &shared.options.folder else { return Vec::new() };
     let described = |name: &String| {
         let bytes = std::fs::metadata(folder.join(name)).ok()?.len();
@@ -128,7 +128,7 @@ fn files(shared: &ServerState) -> Vec<serde_json::Value> {
 
 /// Opens a file of the run. The requested name must be equal to one of the list, so no part of the
 /// request ever becomes part of a path.
-fn file<'a>(shared: &'a ServerState, name: &str) -> Option<(File, &'a str)> {
+fn file<'a>(shared: &'a LiveServerState, name: &str) -> Option<(File, &'a str)> {
     let known = shared.options.files.iter().find(|known| *known == name || encoded(known) == name)?;
     let file = File::open(shared.options.folder.as_ref()?.join(known)).ok()?;
     file.metadata().ok()?.is_file().then_some((file, known.as_str()))

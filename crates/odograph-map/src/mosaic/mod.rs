@@ -17,7 +17,7 @@ use std::collections::{BTreeMap, BTreeSet};
 use std::ops::Range;
 
 /// Maximum number of pyramid levels: a picture is at most 2³⁰ pixels wide.
-const MOST_LEVELS: u32 = 24;
+const MAX_LEVELS: u32 = 24;
 /// Maximum number of tiles along a side of the finest level, for the same picture.
 const WIDEST_TILES: i64 = 1 << 22;
 
@@ -200,11 +200,11 @@ impl MapFile {
             return Ok(None);
         };
         let finite = [layer.resolution_m, layer.left_m, layer.top_m].iter().all(|value| value.is_finite());
-        let side = (MOSAIC_TILE_PX as u64) << layer.finest.min(MOST_LEVELS);
+        let side = (MOSAIC_TILE_PX as u64) << layer.finest.min(MAX_LEVELS);
         let inside = |range: &Range<u64>| range.start < range.end && range.end <= side;
         if !finite
             || layer.resolution_m <= 0.0
-            || layer.finest > MOST_LEVELS
+            || layer.finest > MAX_LEVELS
             || !inside(&layer.columns)
             || !inside(&layer.rows)
         {

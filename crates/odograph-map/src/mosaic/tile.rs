@@ -8,7 +8,7 @@ use std::io::Cursor;
 
 const SIDE: usize = MOSAIC_TILE_PX;
 /// Memory limit for decoding a tile, bytes.
-const MOST_MEMORY: usize = 8 << 20;
+const MAX_MEMORY: usize = 8 << 20;
 
 /// Encodes an RGBA tile as PNG.
 pub(super) fn encode(rgba: &[u8]) -> Result<Vec<u8>> {
@@ -43,7 +43,7 @@ fn kept<const N: usize>(rgba: &[u8], of: impl Fn([u8; 4]) -> [u8; N]) -> Cow<'_,
 /// Decodes a PNG to RGBA; the error is the end of a sentence.
 pub(super) fn decode(bytes: &[u8]) -> std::result::Result<Vec<u8>, String> {
     let broken = |error: png::DecodingError| format!("cannot be decoded: {error}");
-    let limits = png::Limits { bytes: MOST_MEMORY };
+    let limits = png::Limits { bytes: MAX_MEMORY };
     let mut decoder = png::Decoder::new_with_limits(Cursor::new(bytes), limits);
     decoder.set_transformations(png::Transformations::EXPAND | png::Transformations::STRIP_16);
     let mut reader = decoder.read_info().map_err(broken)?;
@@ -55,7 +55,7 @@ pub(super) fn decode(bytes: &[u8]) -> std::result::Result<Vec<u8>, String> {
         ));
     }
     let mut samples =
-        vec![0; reader.output_buffer_size().filter(|size| *size <= MOST_MEMORY).ok_or("is too large")?];
+        vec![0; reader.output_buffer_size().filter(|size| *size <= MAX_MEMORY).ok_or("is too large")?];
     let frame = reader.next_frame(&mut samples).map_err(broken)?;
     let channels = match frame.color_type {
         ColorType::Grayscale => 1,

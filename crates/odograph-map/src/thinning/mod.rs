@@ -14,9 +14,10 @@ use odograph::numerics::median;
 use std::cmp::Reverse;
 use std::collections::{BTreeMap, BTreeSet, BinaryHeap};
 
-/// Sample points per image side that determine the covered cells.
+/// Sample points per image side that determine the covered cells: more follow the outline better
+/// and take longer.
 const GRID: usize = 9;
-/// Cells per side of a typical footprint.
+/// Cells per side of a typical footprint: more keep keyframes for smaller patches of ground.
 const CELLS: f64 = 6.0;
 
 /// Result of thinning a map.
@@ -225,7 +226,8 @@ impl Ties {
 
     /// Composition of two consecutive edges, with their covariances propagated.
     fn composed_of(&self, first: &MapEdge, second: &MapEdge) -> MapEdge {
-        let WithCovariance { transform: way, covariance } = self.similarity(first) * self.similarity(second);
+        let WithCovariance { transform: relative, covariance } =
+            self.similarity(first) * self.similarity(second);
         let ln_heights = first.motion[LN_SCALE] + second.motion[LN_SCALE];
         let kind = match (first.kind, second.kind) {
             (EdgeKind::Gap, _) | (_, EdgeKind::Gap) => EdgeKind::Gap,
@@ -236,7 +238,7 @@ impl Ties {
             from: first.from,
             to: second.to,
             kind,
-            motion: Vector4::new(way.x_m, way.y_m, way.heading_rad, ln_heights),
+            motion: Vector4::new(relative.x_m, relative.y_m, relative.heading_rad, ln_heights),
             covariance,
         }
     }

@@ -33,13 +33,13 @@ pub struct ShownView {
 
 /// Maximum number of arrows or dots. More are thinned evenly: no difference is visible, and the
 /// page stays small.
-const MOST_MARKS: usize = 5000;
+const MAX_MARKS: usize = 5000;
 
 fn marks(views: &[ShownView], used: bool) -> impl Iterator<Item = &ReprojectionError> + Clone {
     let of = move || {
         views.iter().filter(move |view| view.why_not.is_none() == used).flat_map(|view| &view.residuals)
     };
-    let every = of().count().div_ceil(MOST_MARKS).max(1);
+    let every = of().count().div_ceil(MAX_MARKS).max(1);
     views
         .iter()
         .filter(move |view| view.why_not.is_none() == used)

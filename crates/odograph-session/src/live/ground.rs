@@ -48,7 +48,7 @@ pub struct MosaicUpdate {
     pub correction: Sim2,
 }
 
-/// Revisions of one rendering: more than frames in a run.
+/// Revisions reserved for one rendering: more than a run has frames.
 const REVISIONS: u64 = 1 << 40;
 
 impl LiveGroundState {

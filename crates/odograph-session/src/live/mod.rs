@@ -37,7 +37,7 @@ mod pipeline;
 mod recorder;
 mod sinks;
 mod source;
-mod straight;
+mod map_frame;
 
 pub use capturing::{FAREWELL, FRAMES_WAITING, Farewell, PATIENCE, STATUS_EVERY, capture};
 pub use map_graph::map_graph;

@@ -4,12 +4,12 @@
 use super::capturing::{FAREWELL, FRAMES_WAITING, PATIENCE, STATUS_EVERY, capture};
 use super::ground::{LiveGround, MosaicUpdate};
 use super::latency::Latencies;
+use super::map_frame::{self, MapFrameUpdates};
 use super::mcap::McapLog;
 use super::mosaic_rendering;
 use super::recorder::Recorder;
 use super::sinks::{LiveSinks, PoseSink};
 use super::source::LiveInput;
-use super::straight::{self, MapFrameUpdates};
 use crate::finish::{Ending, finish};
 use crate::found::{FixedInImage, FoundLens, FoundMount, FoundReadout};
 use crate::kept_frames::KeptFrames;
@@ -35,10 +35,11 @@ use std::sync::Arc;
 use std::thread;
 use std::time::{Duration, Instant};
 
-/// Length of the queue to rendering.
+/// Length of the queue to rendering: longer smooths over a slow frame, but the page shows older
+/// ground.
 const RENDERING_QUEUE: usize = 4;
-/// Longest queue to the map. No keyframe may be dropped; tracking waits for a map that is this far
-/// behind.
+/// Length of the queue to the map. No keyframe may be dropped, so tracking waits when the map is
+/// this far behind; longer waits later but needs more memory.
 const MAPPING_QUEUE: usize = 32;
 /// Queue length from which the map of a camera suspends loop search until the queue is empty:
 /// without it the map is faster than keyframes can come.
@@ -116,8 +117,8 @@ pub fn follow(
         live: Some(live),
         failure: outcome.err().or(farewell.failure).or(not_kept),
         unmapped: following.unmapped,
-        mount: found.and_then(|found| found.tilt.as_ref()).map(|tilt| FoundMount::new(&plan.rig, tilt)),
-        lens: found.and_then(|found| found.lens.as_ref()).map(|lens| FoundLens::new(&plan.camera, lens)),
+        mount: FoundMount::of(&plan.rig, found),
+        lens: FoundLens::of(&plan.camera, found),
     };
     let mut folder = following.recorder.into_folder();
     finish(plan, tracked, &mut folder, ending)
@@ -207,23 +208,24 @@ impl Following<'_, '_> {
                     }
                 });
             });
-            scope.spawn(move || straight::render_again(&beside.updates, ground));
+            scope.spawn(move || map_frame::render_again(&beside.updates, ground));
             let mapper = scope.spawn(move || {
                 let (mut failure, mut not_compared) = (None, 0);
-                let mut straightening = MapFrameUpdates::new(hub, &beside.updates);
-                let mut hurried = false;
+                let mut updates = MapFrameUpdates::new(hub, &beside.updates);
+                let mut is_suspended = false;
                 each(&beside.mapping, |happened: Happened| {
                     let waiting = beside.mapping.waiting();
-                    hurried = policy == Policy::NewestWins && (waiting >= BEHIND || hurried && waiting > 0);
+                    is_suspended =
+                        policy == Policy::NewestWins && (waiting >= BEHIND || is_suspended && waiting > 0);
                     let made = |event: &&KeyframeEvent| matches!(event, KeyframeEvent::Made(_));
                     not_compared +=
-                        if hurried { happened.events.iter().filter(made).count() as u64 } else { 0 };
-                    mapping.hurry(hurried);
+                        if is_suspended { happened.events.iter().filter(made).count() as u64 } else { 0 };
+                    mapping.suspend_loop_search(is_suspended);
                     // A map that cannot be written (full disk) ends; tracking continues.
                     if failure.is_none() {
                         failure = mapping.take(happened.events, happened.frame.as_ref()).err();
                         if ground.is_shown() {
-                            straightening.look(mapping);
+                            updates.publish_if_closed(mapping);
                         }
                     }
                 });

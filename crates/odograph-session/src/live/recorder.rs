@@ -12,7 +12,7 @@ use std::time::{Duration, Instant, SystemTime, UNIX_EPOCH};
 
 /// Longest time of results lost if the program is killed.
 const FLUSHED_EVERY: Duration = Duration::from_millis(500);
-/// Interval of checks of free disk space.
+/// Interval of checks of free disk space: seldom enough to cost nothing.
 const SPACE_EVERY: Duration = Duration::from_secs(10);
 /// Free disk space below which a warning is given, bytes: the drawings at the end take tens of
 /// megabytes.

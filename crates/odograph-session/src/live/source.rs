@@ -30,7 +30,8 @@ pub struct CaptureOptions {
     pub patience: Option<Duration>,
 }
 
-/// Default longest wait for a network camera.
+/// Default longest wait for a network camera to come back; longer survives a restart of the camera,
+/// shorter ends the run of one that is gone.
 const PATIENCE: Duration = Duration::from_secs(60);
 
 /// A source and its drop policy.

@@ -15,7 +15,7 @@ pub enum Framing {
 }
 
 /// Maximum tilt of the board against the line of sight, radians.
-const MOST_TILT_RAD: f64 = std::f64::consts::FRAC_PI_4;
+const MAX_TILT_RAD: f64 = std::f64::consts::FRAC_PI_4;
 
 impl BoardScene {
     /// `count` poses whose boards cover the image: between a third and the whole of it large,
@@ -32,7 +32,7 @@ impl BoardScene {
         let spread = |dimension: u64, step: f64| (uniform(seed, dimension) + step * number as f64).fract();
         let draw = |index: u64| uniform(seed ^ 0x905E, 16 * number as u64 + index);
         let (mut u, mut v) = (spread(1, 0.754_877_666), spread(2, 0.569_840_291));
-        let tilt_rad = MOST_TILT_RAD * spread(3, 0.618_033_989).powf(0.6);
+        let tilt_rad = MAX_TILT_RAD * spread(3, 0.618_033_989).powf(0.6);
         let towards_rad = std::f64::consts::TAU * spread(4, 0.381_966_011 + 0.1);
         let turn_rad = (2.0 * draw(0) - 1.0) * 25f64.to_radians();
         let mut size = match framing {

@@ -1,11 +1,13 @@
 //! A simulated image sequence.
 
-use super::effects::{Breathing, Disturbance, Effects, Exposure, MovingDisc, MovingDiscs, row_offset_s};
+use super::applied_effects::{Disturbance, Exposure, MovingDisc, MovingDiscs, row_offset_s};
+use super::effects::{Breathing, Effects};
 use super::floor_markers::FloorMarkers;
 use super::ground::Ground;
 use super::noise::{GaussianStream, mix, uniform};
 use super::path::Path;
-use super::renderer::{Renderer, Scene};
+use super::renderer::Renderer;
+use super::scene::Scene;
 use super::sway::Swaying;
 use super::terrain::TerrainSurface;
 use super::texture::{Texture, luminance};
@@ -73,7 +75,7 @@ pub struct RenderedFrame {
 }
 
 /// Maximum number of frames; a day at 60 frames per second is below it.
-const MOST_FRAMES: f64 = 6e6;
+const MAX_FRAMES: f64 = 6e6;
 /// Maximum motion between the sub-exposures of motion blur, pixels.
 const BLUR_STEP_PX: f64 = 0.7;
 
@@ -363,9 +365,9 @@ fn times_s(config: &SimulationConfig) -> Result<Vec<f64>> {
         )));
     }
     let duration_s = config.duration_s.unwrap_or(config.path.duration_s());
-    if !(duration_s.is_finite() && duration_s >= 0.0 && duration_s * fps < MOST_FRAMES) {
+    if !(duration_s.is_finite() && duration_s >= 0.0 && duration_s * fps < MAX_FRAMES) {
         return Err(Error::usage(format!(
-            "{duration_s} s at {fps} frames per second is not a recording that can be made; {MOST_FRAMES:.0} frames are the limit"
+            "{duration_s} s at {fps} frames per second is not a recording that can be made; {MAX_FRAMES:.0} frames are the limit"
         )));
     }
     let last = (duration_s * fps + 1e-6).floor() as u64;

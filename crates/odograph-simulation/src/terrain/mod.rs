@@ -116,7 +116,7 @@ const RAMP_ROUNDING_M: f64 = 0.1;
 /// Tolerance of the intersection of a ray with the surface, metres.
 const PRECISION_M: f64 = 1e-6;
 /// Maximum number of steps along a ray; shallower rays do not resolve the ground in detail.
-const MOST_STEPS: f64 = 64.0;
+const MAX_STEPS: f64 = 64.0;
 
 /// A terrain with its random functions; does not exist for flat ground.
 #[derive(Debug)]
@@ -234,7 +234,7 @@ impl TerrainSurface {
             z - self.height_m(camera[0] + drop * per_drop[0], camera[1] + drop * per_drop[1])
         };
         let way_m = (high - low) * (per_drop[0] * per_drop[0] + per_drop[1] * per_drop[1]).sqrt();
-        let steps = (way_m / self.step_m).ceil().clamp(1.0, MOST_STEPS);
+        let steps = (way_m / self.step_m).ceil().clamp(1.0, MAX_STEPS);
         let (mut above, mut below) = ((high, gap(high)), (low, 0.0));
         let mut step = 1.0;
         while step <= steps {

@@ -103,7 +103,7 @@ impl KeyframeStore for Store {
         self.0.add_keyframe(keyframe, &image, ties)
     }
 
-    fn tie(&mut self, edge: &MapEdge) -> Result<()> {
+    fn add_edge(&mut self, edge: &MapEdge) -> Result<()> {
         self.0.add_edges(std::slice::from_ref(edge))
     }
 }

@@ -61,13 +61,13 @@ fn first_infos(
     all: &[Topic],
 ) -> Result<(Vec<Option<Described>>, String)> {
     /// A camera that is calibrated while recording would be seen after more messages than this.
-    const MOST_MESSAGES: usize = 1000;
+    const MAX_MESSAGES: usize = 1000;
     let mut infos = vec![None; all.len()];
     let mut frame = None;
     let is = |topic: &Topic, other: &Topic| topic.name == other.name && topic.type_name == other.type_name;
     recording.rewind()?;
     recording.select(&|topic| is(topic, images) || all.iter().any(|other| is(topic, other)));
-    for _ in 0..MOST_MESSAGES {
+    for _ in 0..MAX_MESSAGES {
         if (frame.is_some() && infos.iter().all(Option::is_some)) || !recording.advance()? {
             break;
         }

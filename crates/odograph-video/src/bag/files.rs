@@ -1,6 +1,7 @@
 //! Recordings of several files, in order: the folders of rosbag2, whose `metadata.yaml` names them,
 //! and files that are compressed as a whole.
 
+use super::chunks::ChunkReader;
 use super::compression::{Compression, ZSTD_MAGIC, unpack_zstd};
 use super::database::{self, Database};
 use super::mcap::{self, Mcap};
@@ -13,7 +14,7 @@ use std::io::{BufReader, Read};
 use std::path::{Path, PathBuf};
 
 /// Largest file that a compressed one may unpack to, bytes.
-const MOST_UNPACKED: u64 = 64 << 30;
+const MAX_UNPACKED: u64 = 64 << 30;
 
 /// Format of a file.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
@@ -73,8 +74,10 @@ fn open_part(path: &Path) -> Result<OpenedPart> {
     };
     let place = unpacked.as_deref().unwrap_or(path);
     let recording = match format {
-        Some(BagFormat::Mcap) => Box::new(Mcap::open(open_file(place)?)?) as Box<dyn MessageReader>,
-        Some(BagFormat::RosBag1) => Box::new(RosBag1::open(open_file(place)?)?),
+        Some(BagFormat::Mcap) => {
+            Box::new(ChunkReader::<Mcap>::open(open_file(place)?)?) as Box<dyn MessageReader>
+        }
+        Some(BagFormat::RosBag1) => Box::new(ChunkReader::<RosBag1>::open(open_file(place)?)?),
         Some(BagFormat::Database) => Box::new(Database::open(place)?),
         _ if !whole => return Err(Error::input("the compressed file is damaged or cut off")),
         _ => return Err(Error::input("this is not an MCAP file, a ROS bag or a rosbag2 database")),
@@ -88,7 +91,7 @@ fn unpack(path: &Path) -> Result<(tempfile::TempPath, bool)> {
         |error: std::io::Error| Error::input(format!("it cannot be unpacked into a temporary file: {error}"));
     let packed = BufReader::with_capacity(1 << 18, open_file(path)?);
     let mut file = tempfile::NamedTempFile::new().map_err(failed)?;
-    let whole = unpack_zstd(packed, MOST_UNPACKED, &mut file)?;
+    let whole = unpack_zstd(packed, MAX_UNPACKED, &mut file)?;
     Ok((file.into_temp_path(), whole))
 }
 

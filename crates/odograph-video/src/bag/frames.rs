@@ -6,7 +6,6 @@ use super::topics;
 use crate::container::{Packet, PacketReader, Times, VideoTrack};
 use crate::frame::Picture;
 use crate::opened::{Frames, Opened};
-use crate::rotation::Orientation;
 use crate::source_options::SourceOptions;
 use crate::video;
 use odograph::error::{Error, Result};
@@ -131,18 +130,9 @@ impl VideoTopic {
             return Err(Error::input("there is no video packet in it"));
         }
         let format = image::video_packet(&messages.topic, kind, messages.data())?.format.into_owned();
-        let track = VideoTrack {
-            container: "a robot recording",
-            codec: image::codec(&format),
-            width: 0,
-            height: 0,
-            configuration: Vec::new(),
-            frame_count: Some(messages.topic.count),
-            orientation: Orientation::default(),
-            encoding: None,
-            // Stamps are those of the images, or in decoding order; sorted, both are right.
-            times: Times::Decoding,
-        };
+        // Stamps are those of the images, or in decoding order; sorted, both are right.
+        let track = VideoTrack::new("a robot recording", image::codec(&format), Times::Decoding);
+        let track = VideoTrack { frame_count: Some(messages.topic.count), ..track };
         messages.recording.rewind()?;
         Ok(Self { messages, kind, track, damaged: 0 })
     }

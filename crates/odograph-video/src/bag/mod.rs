@@ -6,6 +6,7 @@
 //! its cameras interleaved and without times.
 
 mod camera;
+mod chunks;
 mod compression;
 mod contents;
 mod cursor;

@@ -51,7 +51,7 @@ pub fn recorded_mount(path: impl AsRef<Path>, topic: Option<&str>) -> Result<Opt
 }
 
 /// Transforms that are published once come with the first messages: more of them are not looked at.
-const MOST_MESSAGES: usize = 1000;
+const MAX_MESSAGES: usize = 1000;
 
 fn mount_of(recording: &mut dyn MessageReader, images: &Topic) -> Result<Option<RecordedMount>> {
     if !recording.topics().iter().any(transforms::is_static) {
@@ -61,7 +61,7 @@ fn mount_of(recording: &mut dyn MessageReader, images: &Topic) -> Result<Option<
     recording.rewind()?;
     recording.select(&|topic| transforms::is_static(topic) || is_images(topic));
     let (mut tree, mut camera_frame) = (Tree::default(), None);
-    for _ in 0..MOST_MESSAGES {
+    for _ in 0..MAX_MESSAGES {
         if !recording.advance()? {
             break;
         }
@@ -85,9 +85,9 @@ fn mount_of(recording: &mut dyn MessageReader, images: &Topic) -> Result<Option<
 struct Tree(BTreeMap<String, (String, Isometry3<f64>)>);
 
 /// Most frames of a robot; more are not kept.
-const MOST_FRAMES: usize = 10_000;
+const MAX_FRAMES: usize = 10_000;
 /// Most frames from a camera to the root of the tree: more are a circle.
-const MOST_PARENTS: usize = 200;
+const MAX_PARENTS: usize = 200;
 
 /// A frame's name without the slash that the first tf put before it.
 fn bare(name: &str) -> &str {
@@ -101,7 +101,7 @@ fn is_called(frame: &str, name: &str) -> bool {
 
 impl Tree {
     fn insert(&mut self, child: &str, parent: &str, parent_from_child: Isometry3<f64>) {
-        if self.0.len() < MOST_FRAMES || self.0.contains_key(bare(child)) {
+        if self.0.len() < MAX_FRAMES || self.0.contains_key(bare(child)) {
             self.0.insert(bare(child).to_owned(), (bare(parent).to_owned(), parent_from_child));
         }
     }
@@ -110,7 +110,7 @@ impl Tree {
     fn ancestors(&self, frame: &str) -> Vec<(String, Isometry3<f64>)> {
         let mut line = vec![(bare(frame).to_owned(), Isometry3::identity())];
         while let Some((last, from_frame)) = line.last()
-            && line.len() <= MOST_PARENTS
+            && line.len() <= MAX_PARENTS
             && let Some((parent, parent_from_child)) = self.0.get(last)
         {
             let next = (parent.clone(), parent_from_child * from_frame);

@@ -57,7 +57,7 @@ pub(super) struct Topics {
 }
 
 /// Most topics of a recording: more are a damaged file.
-const MOST_TOPICS: usize = 100_000;
+const MAX_TOPICS: usize = 100_000;
 
 impl Topics {
     /// The index of a topic, which is added if it is new; `None` if there are too many.
@@ -66,7 +66,7 @@ impl Topics {
         if let Some(&index) = self.by_name.get(&key) {
             return Some(index);
         }
-        if self.all.len() >= MOST_TOPICS {
+        if self.all.len() >= MAX_TOPICS {
             return None;
         }
         let (name, type_name) = key.clone();

@@ -5,7 +5,7 @@
 //! with the frames of ffmpeg. Neither supports 4:4:4 and lossless coding.
 
 use super::h264_parameters::SequenceParameters;
-use super::{Decoded, Decoder, MakeDecoder, Refusal, Stamp};
+use super::{DecodeResult, Decoded, Decoder, MakeDecoder, Refusal, Stamp};
 use crate::container::{Times, VideoTrack};
 use crate::frame::{Chroma, Color, ColorEncoding, Picture};
 use crate::guard::guarded;
@@ -187,12 +187,7 @@ impl Fast {
 }
 
 impl Decoder for Fast {
-    fn decode(
-        &mut self,
-        data: &[u8],
-        stamp: Stamp,
-        out: &mut Vec<Decoded>,
-    ) -> std::result::Result<(), Refusal> {
+    fn decode(&mut self, data: &[u8], stamp: Stamp, out: &mut Vec<Decoded>) -> DecodeResult {
         let mut units = Vec::new();
         self.set_up.framing.split(data, &mut units);
         self.set_up.look_for_parameters(&units)?;
@@ -227,16 +222,12 @@ impl Decoder for Fast {
         }
     }
 
-    fn finish(&mut self, _: &mut Vec<Decoded>) -> std::result::Result<(), Refusal> {
-        Ok(())
-    }
-
     fn reorder_depth(&self) -> usize {
         self.set_up.reorder_depth()
     }
 
     fn frames_per_second(&self) -> Option<f64> {
-        self.set_up.parameters.as_ref().and_then(|p| p.frames_per_second)
+        self.set_up.parameters.as_ref()?.frames_per_second
     }
 
     fn description(&self) -> String {
@@ -299,12 +290,7 @@ impl Complete {
 }
 
 impl Decoder for Complete {
-    fn decode(
-        &mut self,
-        data: &[u8],
-        stamp: Stamp,
-        out: &mut Vec<Decoded>,
-    ) -> std::result::Result<(), Refusal> {
+    fn decode(&mut self, data: &[u8], stamp: Stamp, out: &mut Vec<Decoded>) -> DecodeResult {
         let mut units = Vec::new();
         self.set_up.framing.split(data, &mut units);
         self.set_up.look_for_parameters(&units)?;
@@ -332,7 +318,7 @@ impl Decoder for Complete {
         refusal.map_or(Ok(()), Err)
     }
 
-    fn finish(&mut self, out: &mut Vec<Decoded>) -> std::result::Result<(), Refusal> {
+    fn finish(&mut self, out: &mut Vec<Decoded>) -> DecodeResult {
         if let Some(frame) = guarded("H.264", || self.decoder.flush())? {
             self.push(frame, out);
         }
@@ -344,7 +330,7 @@ impl Decoder for Complete {
     }
 
     fn frames_per_second(&self) -> Option<f64> {
-        self.set_up.parameters.as_ref().and_then(|p| p.frames_per_second)
+        self.set_up.parameters.as_ref()?.frames_per_second
     }
 
     fn description(&self) -> String {

@@ -105,24 +105,7 @@ impl SequenceParameters {
     }
 
     fn usability(&mut self, bits: &mut Bits<'_>) -> Option<()> {
-        if bits.bit()? && bits.bits(8)? == 255 {
-            bits.skip(32)?;
-        }
-        if bits.bit()? {
-            bits.bit()?;
-        }
-        if bits.bit()? {
-            bits.skip(3)?;
-            self.encoding.full_range = bits.bit()?;
-            if bits.bit()? {
-                bits.skip(16)?;
-                self.encoding.matrix = Matrix::from_h273(u64::from(bits.bits(8)?));
-            }
-        }
-        if bits.bit()? {
-            bits.ue()?;
-            bits.ue()?;
-        }
+        read_color_encoding(bits, &mut self.encoding)?;
         if bits.bit()? {
             let (ticks, scale) = (bits.bits(32)?, bits.bits(32)?);
             bits.bit()?;
@@ -167,6 +150,30 @@ impl SequenceParameters {
             _ => "another profile",
         }
     }
+}
+
+/// Reads the usability information up to the position of the chroma samples, which H.264 and H.265
+/// have alike.
+pub(super) fn read_color_encoding(bits: &mut Bits<'_>, encoding: &mut ColorEncoding) -> Option<()> {
+    if bits.bit()? && bits.bits(8)? == 255 {
+        bits.skip(32)?;
+    }
+    if bits.bit()? {
+        bits.bit()?;
+    }
+    if bits.bit()? {
+        bits.skip(3)?;
+        encoding.full_range = bits.bit()?;
+        if bits.bit()? {
+            bits.skip(16)?;
+            encoding.matrix = Matrix::from_h273(u64::from(bits.bits(8)?));
+        }
+    }
+    if bits.bit()? {
+        bits.ue()?;
+        bits.ue()?;
+    }
+    Some(())
 }
 
 fn skip_scaling_list(bits: &mut Bits<'_>, size: u32) -> Option<()> {

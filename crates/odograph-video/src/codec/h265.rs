@@ -1,7 +1,7 @@
 //! H.265 (HEVC) with `rust_h265`: 8 to 12 bits, 4:2:0 and 4:4:4.
 
 use super::h265_parameters::HevcSequenceParameters;
-use super::{Decoded, Decoder, MakeDecoder, Refusal, Stamp};
+use super::{DecodeResult, Decoded, Decoder, MakeDecoder, Refusal, Stamp};
 use crate::container::bytes::Bytes;
 use crate::container::{Times, VideoTrack};
 use crate::frame::{Chroma, Color, ColorEncoding, Picture};
@@ -107,12 +107,7 @@ impl Hevc {
 }
 
 impl Decoder for Hevc {
-    fn decode(
-        &mut self,
-        data: &[u8],
-        stamp: Stamp,
-        out: &mut Vec<Decoded>,
-    ) -> std::result::Result<(), Refusal> {
+    fn decode(&mut self, data: &[u8], stamp: Stamp, out: &mut Vec<Decoded>) -> DecodeResult {
         let mut units = Vec::new();
         self.framing.split(data, &mut units);
         let mut refusal = None;
@@ -147,10 +142,6 @@ impl Decoder for Hevc {
             self.push(frame, stamp, starts_group, out);
         }
         refusal.map_or(Ok(()), Err)
-    }
-
-    fn finish(&mut self, _: &mut Vec<Decoded>) -> std::result::Result<(), Refusal> {
-        Ok(())
     }
 
     fn reorder_depth(&self) -> usize {

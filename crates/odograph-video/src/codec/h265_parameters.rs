@@ -2,7 +2,8 @@
 //! is used.
 
 use super::bits::Bits;
-use crate::frame::{ColorEncoding, Matrix};
+use super::h264_parameters::read_color_encoding;
+use crate::frame::ColorEncoding;
 use crate::nal::unescape;
 
 #[derive(Debug, Clone, PartialEq)]
@@ -92,24 +93,7 @@ impl HevcSequenceParameters {
     }
 
     fn usability(&mut self, bits: &mut Bits<'_>) -> Option<()> {
-        if bits.bit()? && bits.bits(8)? == 255 {
-            bits.skip(32)?;
-        }
-        if bits.bit()? {
-            bits.bit()?;
-        }
-        if bits.bit()? {
-            bits.skip(3)?;
-            self.encoding.full_range = bits.bit()?;
-            if bits.bit()? {
-                bits.skip(16)?;
-                self.encoding.matrix = Matrix::from_h273(u64::from(bits.bits(8)?));
-            }
-        }
-        if bits.bit()? {
-            bits.ue()?;
-            bits.ue()?;
-        }
+        read_color_encoding(bits, &mut self.encoding)?;
         bits.skip(3)?;
         if bits.bit()? {
             for _ in 0..4 {

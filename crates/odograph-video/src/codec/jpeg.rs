@@ -1,6 +1,6 @@
 //! JPEG (ITU-T T.81): still images and the frames of Motion JPEG.
 
-use super::{Decoded, Decoder, Refusal, Stamp};
+use super::{DecodeResult, Decoded, Decoder, Refusal, Stamp};
 use crate::frame::{Chroma, Color, ColorEncoding, Deferred, Matrix, Picture, picture_from_rgb};
 use crate::guard::guarded;
 use crate::limits;
@@ -83,12 +83,7 @@ impl MotionJpeg {
 }
 
 impl Decoder for MotionJpeg {
-    fn decode(
-        &mut self,
-        data: &[u8],
-        stamp: Stamp,
-        out: &mut Vec<Decoded>,
-    ) -> std::result::Result<(), Refusal> {
+    fn decode(&mut self, data: &[u8], stamp: Stamp, out: &mut Vec<Decoded>) -> DecodeResult {
         let picture = guarded("JPEG", || decode(data, self.color))?;
         let picture = picture.map_err(|error| Refusal::Damaged(error.to_string()))?;
         if self.height > 0 && picture.gray.height() * 2 <= self.height {
@@ -97,18 +92,6 @@ impl Decoder for MotionJpeg {
         self.number += 1;
         out.push(Decoded { picture, stamp, order: self.number, starts_group: false });
         Ok(())
-    }
-
-    fn finish(&mut self, _: &mut Vec<Decoded>) -> std::result::Result<(), Refusal> {
-        Ok(())
-    }
-
-    fn reorder_depth(&self) -> usize {
-        0
-    }
-
-    fn frames_per_second(&self) -> Option<f64> {
-        None
     }
 
     fn description(&self) -> String {

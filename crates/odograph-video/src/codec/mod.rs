@@ -10,7 +10,7 @@ mod vp9;
 
 pub(crate) use h264::{narrow, narrow_full_scale, narrow_little_endian};
 
-use crate::container::{Codec, VideoTrack};
+use crate::container::{VideoCodec, VideoTrack};
 use crate::frame::Picture;
 use odograph::error::{Error, Result};
 
@@ -56,25 +56,29 @@ impl From<Error> for Refusal {
     }
 }
 
+/// Whether a sample was decoded.
+pub(crate) type DecodeResult = std::result::Result<(), Refusal>;
+
 /// A decoder of one stream, sample by sample.
 pub(crate) trait Decoder: Send {
     /// Decodes one sample and appends the completed pictures, in decoding order.
-    fn decode(
-        &mut self,
-        data: &[u8],
-        stamp: Stamp,
-        out: &mut Vec<Decoded>,
-    ) -> std::result::Result<(), Refusal>;
+    fn decode(&mut self, data: &[u8], stamp: Stamp, out: &mut Vec<Decoded>) -> DecodeResult;
 
-    /// Flushes the decoder: appends the remaining pictures.
-    fn finish(&mut self, out: &mut Vec<Decoded>) -> std::result::Result<(), Refusal>;
+    /// Flushes the decoder: appends the remaining pictures, if it keeps any back.
+    fn finish(&mut self, _out: &mut Vec<Decoded>) -> DecodeResult {
+        Ok(())
+    }
 
     /// Reorder depth: maximum number of pictures that precede a picture in decoding order and
     /// follow it in presentation order.
-    fn reorder_depth(&self) -> usize;
+    fn reorder_depth(&self) -> usize {
+        0
+    }
 
     /// Frame rate, frames per second; `None` if the stream does not have it.
-    fn frames_per_second(&self) -> Option<f64>;
+    fn frames_per_second(&self) -> Option<f64> {
+        None
+    }
 
     /// Human-readable description of the stream, e.g. `H.264 (High)`.
     fn description(&self) -> String;
@@ -84,20 +88,20 @@ pub(crate) trait Decoder: Send {
 /// the track.
 pub(crate) fn decoders(track: &VideoTrack, color: bool) -> Result<(Vec<MakeDecoder>, String)> {
     Ok(match &track.codec {
-        Codec::H264 => h264::decoders(track, color)?,
-        Codec::H265 => (h265::decoders(track, color)?, "H.265".to_string()),
-        Codec::Vp9 => {
+        VideoCodec::H264 => h264::decoders(track, color)?,
+        VideoCodec::H265 => (h265::decoders(track, color)?, "H.265".to_string()),
+        VideoCodec::Vp9 => {
             let track = track.clone();
             (vec![Box::new(move || Ok(Box::new(vp9::Vp9::new(&track, color))))], "VP9".to_string())
         }
-        Codec::MotionJpeg => {
+        VideoCodec::MotionJpeg => {
             let height = track.height;
             (
                 vec![Box::new(move || Ok(Box::new(jpeg::MotionJpeg::new(height, color))))],
                 "Motion JPEG".to_string(),
             )
         }
-        Codec::Other(name) => (Vec::new(), name.clone()),
+        VideoCodec::Other(name) => (Vec::new(), name.clone()),
     })
 }
 

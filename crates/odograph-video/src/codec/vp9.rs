@@ -1,6 +1,6 @@
 //! VP9 with `rusty_vp9`: all profiles, 8 to 12 bits.
 
-use super::{Decoded, Decoder, Refusal, Stamp, narrow_little_endian};
+use super::{DecodeResult, Decoded, Decoder, Refusal, Stamp, narrow_little_endian};
 use crate::container::VideoTrack;
 use crate::frame::{Chroma, Color, ColorEncoding, Matrix, Picture};
 use crate::guard::guarded;
@@ -32,12 +32,7 @@ impl Vp9 {
 }
 
 impl Decoder for Vp9 {
-    fn decode(
-        &mut self,
-        data: &[u8],
-        stamp: Stamp,
-        out: &mut Vec<Decoded>,
-    ) -> std::result::Result<(), Refusal> {
+    fn decode(&mut self, data: &[u8], stamp: Stamp, out: &mut Vec<Decoded>) -> DecodeResult {
         let head = guarded("VP9", || parse_uncompressed_header(&mut BitReader::new(data), &[(0, 0); 8]))?;
         if let Ok(head) = head {
             if head.sized && head.width > 0 && head.height > 0 {
@@ -102,18 +97,6 @@ impl Decoder for Vp9 {
             });
         }
         Ok(())
-    }
-
-    fn finish(&mut self, _: &mut Vec<Decoded>) -> std::result::Result<(), Refusal> {
-        Ok(())
-    }
-
-    fn reorder_depth(&self) -> usize {
-        0
-    }
-
-    fn frames_per_second(&self) -> Option<f64> {
-        None
     }
 
     fn description(&self) -> String {

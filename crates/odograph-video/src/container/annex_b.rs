@@ -1,10 +1,9 @@
 //! Raw H.264 and H.265 streams: NAL units between start codes, without timestamps (Annex B of both
 //! standards).
 
-use super::{Codec, Packet, PacketReader, Times, VideoTrack};
+use super::{Packet, PacketReader, Times, VideoCodec, VideoTrack};
 use crate::limits;
 use crate::nal::find_start_code;
-use crate::rotation::Orientation;
 use odograph::error::{Error, Result};
 use std::fs::File;
 use std::io::{Read, Seek};
@@ -12,19 +11,19 @@ use std::io::{Read, Seek};
 const READ_BYTES: u64 = 1 << 18;
 
 /// Identifies the codec of a raw stream from its first bytes; `None` if it is not a raw stream.
-pub(crate) fn codec(bytes: &[u8]) -> Option<Codec> {
+pub(crate) fn codec(bytes: &[u8]) -> Option<VideoCodec> {
     let after = match bytes {
         [0, 0, 1, rest @ ..] | [0, 0, 0, 1, rest @ ..] => rest,
         _ => return None,
     };
     match after {
         // VPS, SPS, PPS, access unit delimiter or SEI of the base layer, temporal layer 0.
-        [0x40 | 0x42 | 0x44 | 0x46 | 0x4e, 1, ..] => Some(Codec::H265),
+        [0x40 | 0x42 | 0x44 | 0x46 | 0x4e, 1, ..] => Some(VideoCodec::H265),
         [head, ..]
             if head & 0x80 == 0
                 && matches!((head & 31, head >> 5), (7 | 8 | 5, 1..) | (6 | 9, 0) | (1, _)) =>
         {
-            Some(Codec::H264)
+            Some(VideoCodec::H264)
         }
         _ => None,
     }
@@ -45,18 +44,8 @@ pub(crate) struct AnnexBReader {
 }
 
 impl AnnexBReader {
-    pub fn open(file: File, codec: Codec) -> Self {
-        let track = VideoTrack {
-            container: "a raw stream",
-            codec,
-            width: 0,
-            height: 0,
-            configuration: Vec::new(),
-            frame_count: None,
-            orientation: Orientation::default(),
-            encoding: None,
-            times: Times::Unknown,
-        };
+    pub fn open(file: File, codec: VideoCodec) -> Self {
+        let track = VideoTrack::new("a raw stream", codec, Times::Unknown);
         Self {
             file,
             track,
@@ -73,7 +62,7 @@ impl AnnexBReader {
     /// 7.4.1.2.3, H.265 7.4.2.4.4).
     fn role(&self, unit: &[u8]) -> (bool, bool) {
         let [first, second, rest @ ..] = unit else { return (false, false) };
-        if self.track.codec == Codec::H265 {
+        if self.track.codec == VideoCodec::H265 {
             let starts_picture = rest.first().is_some_and(|b| b & 0x80 != 0);
             match first >> 1 & 63 {
                 0..=31 => (starts_picture, true),

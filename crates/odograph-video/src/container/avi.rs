@@ -5,9 +5,8 @@
 //! the truncation.
 
 use super::bytes::{Bytes, read_up_to};
-use super::{Codec, Packet, PacketReader, Times, VideoTrack};
+use super::{Packet, PacketReader, Times, VideoCodec, VideoTrack};
 use crate::limits;
-use crate::rotation::Orientation;
 use odograph::error::{Error, Result};
 use std::fs::File;
 use std::io::{BufReader, Read, Seek, SeekFrom};
@@ -45,17 +44,7 @@ impl AviReader {
             length,
             at: 0,
             first_sample: 0,
-            track: VideoTrack {
-                container: "AVI",
-                codec: Codec::Other(String::new()),
-                width: 0,
-                height: 0,
-                configuration: Vec::new(),
-                frame_count: None,
-                orientation: Orientation::default(),
-                encoding: None,
-                times: Times::Decoding,
-            },
+            track: VideoTrack::new("AVI", VideoCodec::Other(String::new()), Times::Decoding),
             stream: *b"  ",
             scale: 1,
             rate: 1,
@@ -252,25 +241,25 @@ impl PacketReader for AviReader {
 }
 
 /// The codec of a stream from its FourCC.
-pub(super) fn codec(letters: &[u8]) -> Codec {
+pub(super) fn codec(letters: &[u8]) -> VideoCodec {
     match letters.to_ascii_uppercase().as_slice() {
-        b"H264" | b"X264" | b"AVC1" | b"DAVC" | b"VSSH" => Codec::H264,
-        b"HEVC" | b"H265" | b"HVC1" | b"X265" => Codec::H265,
-        b"MJPG" | b"JPEG" | b"AVRN" | b"DMB1" => Codec::MotionJpeg,
-        b"VP90" => Codec::Vp9,
-        b"VP80" => Codec::Other("VP8".into()),
-        b"AV01" => Codec::Other("AV1".into()),
+        b"H264" | b"X264" | b"AVC1" | b"DAVC" | b"VSSH" => VideoCodec::H264,
+        b"HEVC" | b"H265" | b"HVC1" | b"X265" => VideoCodec::H265,
+        b"MJPG" | b"JPEG" | b"AVRN" | b"DMB1" => VideoCodec::MotionJpeg,
+        b"VP90" => VideoCodec::Vp9,
+        b"VP80" => VideoCodec::Other("VP8".into()),
+        b"AV01" => VideoCodec::Other("AV1".into()),
         b"XVID" | b"DIVX" | b"DX50" | b"FMP4" | b"MP4V" | b"MP4S" | b"M4S2" | b"3IV2" => {
-            Codec::Other("MPEG-4 part 2 video".into())
+            VideoCodec::Other("MPEG-4 part 2 video".into())
         }
-        b"DIV3" | b"MP43" | b"DIV4" | b"COL1" | b"AP41" => Codec::Other("MSMPEG4 version 3".into()),
-        b"MP42" | b"DIV2" => Codec::Other("MSMPEG4 version 2".into()),
-        b"CVID" => Codec::Other("Cinepak".into()),
-        b"FFV1" => Codec::Other("FFV1".into()),
+        b"DIV3" | b"MP43" | b"DIV4" | b"COL1" | b"AP41" => VideoCodec::Other("MSMPEG4 version 3".into()),
+        b"MP42" | b"DIV2" => VideoCodec::Other("MSMPEG4 version 2".into()),
+        b"CVID" => VideoCodec::Other("Cinepak".into()),
+        b"FFV1" => VideoCodec::Other("FFV1".into()),
         b"\0\0\0\0" | b"DIB " | b"YUY2" | b"UYVY" | b"I420" | b"YV12" | b"Y800" | b"GREY" => {
-            Codec::Other("uncompressed video".into())
+            VideoCodec::Other("uncompressed video".into())
         }
-        other => Codec::Other(format!("'{}' video", String::from_utf8_lossy(other).trim())),
+        other => VideoCodec::Other(format!("'{}' video", String::from_utf8_lossy(other).trim())),
     }
 }
 

@@ -5,7 +5,7 @@
 //! their lengths, so unknown or wrong lengths do no harm.
 
 use super::bytes::{Bytes, read_up_to};
-use super::{Codec, Packet, PacketReader, Times, VideoTrack};
+use super::{Packet, PacketReader, Times, VideoCodec, VideoTrack};
 use crate::frame::{ColorEncoding, Matrix};
 use crate::limits;
 use crate::rotation::Orientation;
@@ -48,17 +48,7 @@ impl MatroskaReader {
             length,
             at: 0,
             first_cluster: 0,
-            track: VideoTrack {
-                container: "Matroska",
-                codec: Codec::Other(String::new()),
-                width: 0,
-                height: 0,
-                configuration: Vec::new(),
-                frame_count: None,
-                orientation: Orientation::default(),
-                encoding: None,
-                times: Times::Presentation,
-            },
+            track: VideoTrack::new("Matroska", VideoCodec::Other(String::new()), Times::Presentation),
             number: 0,
             stripped: Vec::new(),
             tick_ns: 1_000_000,
@@ -181,8 +171,8 @@ impl MatroskaReader {
                     0x5034 if field(0x4254).map(unsigned) == Some(3) => {
                         self.stripped = field(0x4255).unwrap_or_default().to_vec();
                     }
-                    0x5034 => self.track.codec = Codec::Other("compressed Matroska".into()),
-                    0x5035 => self.track.codec = Codec::Other("encrypted video".into()),
+                    0x5034 => self.track.codec = VideoCodec::Other("compressed Matroska".into()),
+                    0x5035 => self.track.codec = VideoCodec::Other("encrypted video".into()),
                     _ => {}
                 }
             }
@@ -384,23 +374,23 @@ fn float(value: &[u8]) -> Option<f64> {
 }
 
 /// The codec of a track from its `CodecID` (RFC 9559 and the Matroska codec registry).
-fn codec(id: &str, private: &[u8]) -> Codec {
+fn codec(id: &str, private: &[u8]) -> VideoCodec {
     match id {
-        "V_MPEG4/ISO/AVC" => Codec::H264,
-        "V_MPEGH/ISO/HEVC" => Codec::H265,
-        "V_VP9" => Codec::Vp9,
-        "V_MJPEG" => Codec::MotionJpeg,
-        "V_VP8" => Codec::Other("VP8".into()),
-        "V_AV1" => Codec::Other("AV1".into()),
+        "V_MPEG4/ISO/AVC" => VideoCodec::H264,
+        "V_MPEGH/ISO/HEVC" => VideoCodec::H265,
+        "V_VP9" => VideoCodec::Vp9,
+        "V_MJPEG" => VideoCodec::MotionJpeg,
+        "V_VP8" => VideoCodec::Other("VP8".into()),
+        "V_AV1" => VideoCodec::Other("AV1".into()),
         "V_MS/VFW/FOURCC" => super::avi::codec(private.get(16..20).unwrap_or_default()),
-        _ if id.starts_with("V_MPEG4") => Codec::Other("MPEG-4 part 2 video".into()),
-        "V_MPEG1" => Codec::Other("MPEG-1 video".into()),
-        "V_MPEG2" => Codec::Other("MPEG-2 video".into()),
-        "V_PRORES" => Codec::Other("ProRes".into()),
-        "V_FFV1" => Codec::Other("FFV1".into()),
-        "V_THEORA" => Codec::Other("Theora".into()),
-        "V_UNCOMPRESSED" => Codec::Other("uncompressed video".into()),
-        other => Codec::Other(format!("'{other}' video")),
+        _ if id.starts_with("V_MPEG4") => VideoCodec::Other("MPEG-4 part 2 video".into()),
+        "V_MPEG1" => VideoCodec::Other("MPEG-1 video".into()),
+        "V_MPEG2" => VideoCodec::Other("MPEG-2 video".into()),
+        "V_PRORES" => VideoCodec::Other("ProRes".into()),
+        "V_FFV1" => VideoCodec::Other("FFV1".into()),
+        "V_THEORA" => VideoCodec::Other("Theora".into()),
+        "V_UNCOMPRESSED" => VideoCodec::Other("uncompressed video".into()),
+        other => VideoCodec::Other(format!("'{other}' video")),
     }
 }
 

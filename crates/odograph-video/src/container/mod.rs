@@ -16,7 +16,7 @@ use odograph::error::Result;
 
 /// Compression format of a track.
 #[derive(Debug, Clone, PartialEq, Eq)]
-pub(crate) enum Codec {
+pub(crate) enum VideoCodec {
     H264,
     H265,
     Vp9,
@@ -42,7 +42,7 @@ pub(crate) enum Times {
 pub(crate) struct VideoTrack {
     /// Common name of the container.
     pub container: &'static str,
-    pub codec: Codec,
+    pub codec: VideoCodec,
     /// Size in the container, pixels; 0 if unknown. The decoded frames may differ.
     pub width: usize,
     pub height: usize,
@@ -53,6 +53,23 @@ pub(crate) struct VideoTrack {
     /// Colour encoding in the container; `None` if only the stream may have it.
     pub encoding: Option<ColorEncoding>,
     pub times: Times,
+}
+
+impl VideoTrack {
+    /// A track of which no more is known than its codec.
+    pub fn new(container: &'static str, codec: VideoCodec, times: Times) -> Self {
+        Self {
+            container,
+            codec,
+            width: 0,
+            height: 0,
+            configuration: Vec::new(),
+            frame_count: None,
+            orientation: Orientation::default(),
+            encoding: None,
+            times,
+        }
+    }
 }
 
 /// One compressed sample.

@@ -2,9 +2,8 @@
 
 use super::bytes::Bytes;
 use super::mp4_boxes::{Boxes, child};
-use super::{Codec, Times, VideoTrack};
+use super::{Times, VideoCodec, VideoTrack};
 use crate::frame::{ColorEncoding, Matrix};
-use crate::rotation::Orientation;
 
 /// Codec, size and codec configuration of the first sample entry.
 pub(super) fn describe(stsd: &[u8]) -> Option<VideoTrack> {
@@ -18,28 +17,24 @@ pub(super) fn describe(stsd: &[u8]) -> Option<VideoTrack> {
     let inside = bytes.rest();
     let payload = |kind| child(inside, kind).map(|b| b.rest().to_vec());
     let (codec, configuration) = match &kind {
-        b"avc1" | b"avc2" | b"avc3" | b"avc4" | b"dva1" | b"dvav" => (Codec::H264, payload(b"avcC")),
-        b"hvc1" | b"hev1" | b"dvh1" | b"dvhe" => (Codec::H265, payload(b"hvcC")),
-        b"vp09" => (Codec::Vp9, None),
-        b"jpeg" | b"mjpa" | b"mjpg" | b"MJPG" => (Codec::MotionJpeg, None),
+        b"avc1" | b"avc2" | b"avc3" | b"avc4" | b"dva1" | b"dvav" => (VideoCodec::H264, payload(b"avcC")),
+        b"hvc1" | b"hev1" | b"dvh1" | b"dvhe" => (VideoCodec::H265, payload(b"hvcC")),
+        b"vp09" => (VideoCodec::Vp9, None),
+        b"jpeg" | b"mjpa" | b"mjpg" | b"MJPG" => (VideoCodec::MotionJpeg, None),
         b"mp4v" => match payload(b"esds").as_deref().and_then(object_type) {
-            Some(0x6c) => (Codec::MotionJpeg, None),
-            Some(0x60..=0x65) => (Codec::Other("MPEG-2 video".into()), None),
-            Some(0x6a) => (Codec::Other("MPEG-1 video".into()), None),
-            _ => (Codec::Other("MPEG-4 part 2 video".into()), None),
+            Some(0x6c) => (VideoCodec::MotionJpeg, None),
+            Some(0x60..=0x65) => (VideoCodec::Other("MPEG-2 video".into()), None),
+            Some(0x6a) => (VideoCodec::Other("MPEG-1 video".into()), None),
+            _ => (VideoCodec::Other("MPEG-4 part 2 video".into()), None),
         },
-        other => (Codec::Other(name(other)), None),
+        other => (VideoCodec::Other(name(other)), None),
     };
     Some(VideoTrack {
-        container: "MP4",
-        codec,
         width,
         height,
         configuration: configuration.unwrap_or_default(),
-        frame_count: None,
-        orientation: Orientation::default(),
         encoding: child(inside, b"colr").and_then(|b| color(b.rest())),
-        times: Times::Decoding,
+        ..VideoTrack::new("MP4", codec, Times::Decoding)
     })
 }
 

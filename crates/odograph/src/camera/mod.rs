@@ -13,7 +13,7 @@ mod rig;
 
 pub use distortion::Distortion;
 pub use lever_arm::LeverArm;
-pub use posed_camera::{Met, PosedCamera, Seen};
+pub use posed_camera::{GroundIntersection, PosedCamera, ProjectedPoint};
 pub use rig::Rig;
 pub use uncertainty::{CameraUncertainty, MeasuredRig, RigDeviations};
 
@@ -78,7 +78,7 @@ impl From<Camera> for CameraParameters {
 }
 
 /// Largest magnitude of a distortion coefficient. Those of a rational model may be in the hundreds.
-const MOST_DISTORTION: f64 = 1e6;
+const MAX_DISTORTION: f64 = 1e6;
 
 impl Camera {
     /// A camera from its intrinsics: image `size` (width, height), focal lengths `(fx, fy)` and
@@ -117,7 +117,7 @@ impl Camera {
             }
         }
         if let Some(bad) =
-            distortion.coefficients().into_iter().find(|c| !(-MOST_DISTORTION..=MOST_DISTORTION).contains(c))
+            distortion.coefficients().into_iter().find(|c| !(-MAX_DISTORTION..=MAX_DISTORTION).contains(c))
         {
             return Err(Error::input(format!(
                 "a distortion coefficient is {bad:?}; it must be a number of at most a million"

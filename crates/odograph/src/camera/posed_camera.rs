@@ -17,7 +17,7 @@ pub struct PosedCamera<'a> {
 }
 
 /// Intersection of a ray with the ground, with its derivatives.
-pub struct Met {
+pub struct GroundIntersection {
     /// The ground point.
     pub point: GroundPoint,
     /// By (x, y, heading, height, roll, pitch) of the pose.
@@ -27,7 +27,7 @@ pub struct Met {
 }
 
 /// Projection of a ground point, with its derivatives.
-pub struct Seen {
+pub struct ProjectedPoint {
     /// Its direction in the camera.
     pub ray: Ray,
     /// Its pixel.
@@ -54,7 +54,7 @@ impl<'a> PosedCamera<'a> {
     }
 
     /// A ground point in the image; `None` if it is not in front of the lens.
-    pub fn see(&self, point: GroundPoint) -> Option<Seen> {
+    pub fn see(&self, point: GroundPoint) -> Option<ProjectedPoint> {
         let from_camera =
             Vector3::new(point.x_m - self.pose.x_m, point.y_m - self.pose.y_m, -self.pose.height_m);
         let p = self.camera_from_world * from_camera;
@@ -76,11 +76,11 @@ impl<'a> PosedCamera<'a> {
             by_pose.set_column(column, &-(by_point * axis.cross(&from_camera)));
         }
         let by_ground = by_point.fixed_columns::<2>(0).into_owned();
-        Some(Seen { ray, pixel, by_pose, by_ground })
+        Some(ProjectedPoint { ray, pixel, by_pose, by_ground })
     }
 
     /// A ray on the ground; `None` if it does not go downwards.
-    pub fn ground(&self, ray: Ray) -> Option<Met> {
+    pub fn ground(&self, ray: Ray) -> Option<GroundIntersection> {
         let world_from_camera = self.camera_from_world.transpose();
         let direction = world_from_camera * ray.vector();
         if direction.z >= -1e-9 {
@@ -100,7 +100,7 @@ impl<'a> PosedCamera<'a> {
         let by_height = Vector2::new(x, y) / self.pose.height_m;
         let by_heading = Vector2::new(-y, x);
         let along = [Vector2::x(), Vector2::y(), by_heading, by_height, by_roll, by_pitch];
-        Some(Met {
+        Some(GroundIntersection {
             point,
             by_pose: SMatrix::from_columns(&along),
             by_ray: Matrix2::from_columns(&[by_x, by_y]),

@@ -17,20 +17,10 @@ pub fn undistorted_pixel(camera: &Camera, pixel: Pixel) -> Option<Pixel> {
     camera.ray_from_pixel(pixel).map(|ray| pinhole_pixel(camera, ray))
 }
 
-/// [`undistorted_pixel`] of each pixel, in the given order.
-pub fn undistorted_pixels(camera: &Camera, pixels: &[Pixel]) -> Vec<Option<Pixel>> {
-    pixels.iter().map(|&pixel| undistorted_pixel(camera, pixel)).collect()
-}
-
 /// Distorts a pixel: the inverse of [`undistorted_pixel`]. `None` where the lens model is not
 /// injective.
 pub fn distorted_pixel(camera: &Camera, pixel: Pixel) -> Option<Pixel> {
     camera.pixel_from_ray(pinhole_ray(camera, pixel))
-}
-
-/// [`distorted_pixel`] of each pixel, in the given order.
-pub fn distorted_pixels(camera: &Camera, pixels: &[Pixel]) -> Vec<Option<Pixel>> {
-    pixels.iter().map(|&pixel| distorted_pixel(camera, pixel)).collect()
 }
 
 fn pinhole_pixel(camera: &Camera, ray: Ray) -> Pixel {

@@ -15,12 +15,13 @@ const ELLIPSE: &str = "#0e7490";
 const LOST: &str = "#c2410c";
 const LOOP: &str = "#7c3aed";
 const LANDMARK: &str = "#1d4ed8";
-/// Radius of the ring around a place that was recognised.
+/// Radius of the ring around a recognised place, drawing units.
 const RING: f64 = 5.0;
-/// The dart that points along a heading: how far its tip and its tail reach from the position, and
-/// half its width.
+/// The dart that points along a heading, drawing units: distances of its tip and its tail from the
+/// position, and half its width.
 const DART: (f64, f64, f64) = (10.0, 5.0, 4.8);
-/// Half axes smaller than this, in drawing units, would be hidden by the line of the path.
+/// Smallest half axis of a drawn covariance ellipse, drawing units: smaller ones are hidden by the
+/// line of the path.
 const SEEN: f64 = 8.0;
 
 /// Which kinds of marks the drawing has; the legend explains those.
@@ -119,10 +120,10 @@ pub(super) fn headings(
     let every_m = round_step(70.0 / window.scale, 1.0);
     let mut taken = BTreeSet::new();
     let mut ticks = String::new();
-    for stretch in &path.stretches {
-        let Some(first) = stretch.first() else { continue };
+    for segment in &path.segments {
+        let Some(first) = segment.first() else { continue };
         let (mut since_m, mut before, mut heading) = (0.0, first.at, first.at.heading_rad);
-        for (index, place) in stretch.iter().enumerate() {
+        for (index, place) in segment.iter().enumerate() {
             let pose = place.at;
             since_m += (pose.x_m - before.x_m).hypot(pose.y_m - before.y_m);
             before = pose;
@@ -220,7 +221,7 @@ pub(super) fn ellipses(
     }
 }
 
-/// A small cross: here the measurement broke off or began again.
+/// A small cross where tracking was lost or began again.
 pub(super) fn cross(x: f64, y: f64, body: &mut String) {
     let d = format!("M{} {}l9 9m0 -9l-9 9", c(x - 4.5), c(y - 4.5));
     let _ = writeln!(
@@ -282,13 +283,13 @@ pub(super) fn ends(path: &MeasuredPath<'_>, window: &DrawingWindow, body: &mut S
     }
 }
 
-/// Points along the drawn path and along its heading ticks, close enough together to find what a
-/// word would cover.
+/// Points along the drawn path and along its heading ticks, dense enough to find what a label
+/// would cover.
 fn inked(path: &MeasuredPath<'_>, window: &DrawingWindow) -> Vec<(f64, f64)> {
     let mut ink: Vec<(f64, f64)> = vec![];
-    for stretch in &path.stretches {
+    for segment in &path.segments {
         let mut before: Option<(f64, f64)> = None;
-        for place in stretch {
+        for place in segment {
             let at = window.page(place.at.x_m, place.at.y_m);
             let from = before.unwrap_or(at);
             let length = (at.0 - from.0).hypot(at.1 - from.1);
@@ -360,6 +361,9 @@ fn round_length(length_m: f64) -> String {
     }
 }
 
+/// An entry of the legend: its width and its SVG text, both in drawing units.
+type LegendItem = (f64, String);
+
 /// The row under the drawing that explains its marks; returns where the page ends.
 pub(super) fn legend(
     path: &MeasuredPath<'_>,
@@ -367,81 +371,40 @@ pub(super) fn legend(
     shown: &Shown,
     body: &mut String,
 ) -> f64 {
-    let mut items: Vec<(f64, String)> = vec![];
-    let text = |x: f64, words: &str| {
-        format!("<text class=\"ink\" fill=\"{INK}\" x=\"{}\" y=\"5\">{words}</text>", c(x))
-    };
-    let wide = |words: &str| text_width(words, 15.0);
-
-    let bar_m = round_step(80.0 / window.scale, 1.0);
-    let (bar, words) = (bar_m * window.scale, round_length(bar_m));
-    let half = c(0.5 * bar);
-    items.push((
-        bar + 10.0 + wide(&words),
-        format!(
-            "<g class=\"bar\" stroke=\"{INK}\" stroke-width=\"1.2\"><rect fill=\"{INK}\" x=\"0\" y=\"-3.5\" width=\"{half}\" height=\"7\"/>\
-             <rect class=\"page\" fill=\"{BACKGROUND}\" x=\"{half}\" y=\"-3.5\" width=\"{half}\" height=\"7\"/></g>{}",
-            text(bar + 10.0, &words)
-        ),
-    ));
+    let mut items = vec![scale_bar(window)];
     if path.places().nth(1).is_some() && path.duration_s > 0.0 {
-        let (from, to) = ("0 s", duration_text(path.duration_s));
-        let left = wide(from) + 10.0;
-        let step = 130.0 / TIME_COLOURS as f64;
-        let cells: String = (0..TIME_COLOURS)
-            .map(|k| {
-                let colour = hex(time_colour(k as f64 / (TIME_COLOURS - 1) as f64));
-                let x = left + step * k as f64;
-                format!(
-                    "<rect fill=\"{colour}\" x=\"{x:.2}\" y=\"-3.5\" width=\"{:.2}\" height=\"7\"/>",
-                    step + 0.3
-                )
-            })
-            .collect();
-        items.push((
-            left + 140.0 + wide(&to),
-            format!(
-                "<g shape-rendering=\"crispEdges\">{cells}</g>{}{}",
-                text(0.0, from),
-                text(left + 140.0, &to)
-            ),
-        ));
+        items.push(time_scale(path.duration_s));
     }
-    if !path.stretches.is_empty() {
-        items.push((20.0 + wide("start"), start_mark(7.0, 0.0) + &text(22.0, "start")));
-        items.push((18.0 + wide("end"), end_mark(5.0, 0.0) + &text(18.0, "end")));
+    if !path.segments.is_empty() {
+        items.push(labelled(22.0, -2.0, start_mark(7.0, 0.0), "start"));
+        items.push(labelled(18.0, 0.0, end_mark(5.0, 0.0), "end"));
     }
     if let Some(every_m) = shown.headings {
         let words = format!("heading, every {} or 45°", round_length(every_m));
         let mark = format!("<path class=\"tick\" fill=\"{INK}\" d=\"{}\"/>", dart(6.0, 0.0, 0.6));
-        items.push((24.0 + wide(&words), mark + &text(24.0, &words)));
+        items.push(labelled(24.0, 0.0, mark, &words));
     }
     if shown.ellipses {
-        let words = "2 σ of the position";
         let mark = format!(
             "<ellipse class=\"ellipse\" fill=\"{ELLIPSE}\" fill-opacity=\"0.12\" stroke=\"{ELLIPSE}\" cx=\"13\" cy=\"0\" rx=\"13\" ry=\"6.5\"/>"
         );
-        items.push((34.0 + wide(words), mark + &text(34.0, words)));
+        items.push(labelled(34.0, 0.0, mark, "2 σ of the position"));
     }
     if shown.loops {
-        let words = "ground recognised";
         let mark = format!(
             "<circle class=\"loop\" fill=\"none\" stroke=\"{LOOP}\" stroke-width=\"1.6\" cx=\"7\" cy=\"0\" r=\"{RING}\"/>"
         );
-        items.push((20.0 + wide(words), mark + &text(20.0, words)));
+        items.push(labelled(20.0, 0.0, mark, "ground recognised"));
     }
     if shown.landmarks {
-        let words = "marker";
-        let mark = upright_cross(7.0, 0.0, LANDMARK);
-        items.push((20.0 + wide(words), mark + &text(20.0, words)));
+        items.push(labelled(20.0, 0.0, upright_cross(7.0, 0.0, LANDMARK), "marker"));
     }
     if shown.gaps {
-        let words = "lost: path unknown";
         let mut mark = format!(
             "<path class=\"gap\" stroke=\"{MUTED}\" stroke-width=\"1.6\" stroke-dasharray=\"2 6\" stroke-linecap=\"round\" d=\"M12 0h24\"/>"
         );
         cross(5.0, 0.0, &mut mark);
-        items.push((46.0 + wide(words), mark + &text(44.0, words)));
+        items.push(labelled(44.0, 2.0, mark, "lost: path unknown"));
     }
     let (mut x, mut y) = (window.left, window.bottom() + 84.0);
     let _ = writeln!(body, "<g font-size=\"15\">");
@@ -454,4 +417,48 @@ pub(super) fn legend(
     }
     let _ = writeln!(body, "</g>");
     y + 30.0
+}
+
+fn legend_text(x: f64, words: &str) -> String {
+    format!("<text class=\"ink\" fill=\"{INK}\" x=\"{}\" y=\"5\">{words}</text>", c(x))
+}
+
+/// Width of words of the legend.
+fn legend_width(words: &str) -> f64 {
+    text_width(words, 15.0)
+}
+
+/// A mark with its meaning at `x`; the entry ends `margin` after the words.
+fn labelled(x: f64, margin: f64, mark: String, words: &str) -> LegendItem {
+    (x + margin + legend_width(words), mark + &legend_text(x, words))
+}
+
+fn scale_bar(window: &DrawingWindow) -> LegendItem {
+    let bar_m = round_step(80.0 / window.scale, 1.0);
+    let (bar, words) = (bar_m * window.scale, round_length(bar_m));
+    let half = c(0.5 * bar);
+    let mark = format!(
+        "<g class=\"bar\" stroke=\"{INK}\" stroke-width=\"1.2\"><rect fill=\"{INK}\" x=\"0\" y=\"-3.5\" width=\"{half}\" height=\"7\"/>\
+         <rect class=\"page\" fill=\"{BACKGROUND}\" x=\"{half}\" y=\"-3.5\" width=\"{half}\" height=\"7\"/></g>"
+    );
+    labelled(bar + 10.0, 0.0, mark, &words)
+}
+
+/// The colours of the path from the start of the recording to its end.
+fn time_scale(duration_s: f64) -> LegendItem {
+    let (from, to) = ("0 s", duration_text(duration_s));
+    let left = legend_width(from) + 10.0;
+    let step = 130.0 / TIME_COLOURS as f64;
+    let cells: String = (0..TIME_COLOURS)
+        .map(|k| {
+            let colour = hex(time_colour(k as f64 / (TIME_COLOURS - 1) as f64));
+            let x = left + step * k as f64;
+            format!(
+                "<rect fill=\"{colour}\" x=\"{x:.2}\" y=\"-3.5\" width=\"{:.2}\" height=\"7\"/>",
+                step + 0.3
+            )
+        })
+        .collect();
+    let mark = format!("<g shape-rendering=\"crispEdges\">{cells}</g>{}", legend_text(0.0, from));
+    labelled(left + 140.0, 0.0, mark, &to)
 }

@@ -100,7 +100,7 @@ impl MapDrawing<'_> {
         markers::ellipses(&path, &window, &mut shown, &mut body);
         let breaks = gaps(&path, &window, &mut body);
         shown.gaps = !breaks.is_empty();
-        stretches(&path, &window, &mut body);
+        measured_path(&path, &window, &mut body);
         breaks.into_iter().for_each(|(x, y)| markers::cross(x, y, &mut body));
         markers::loops(self.loops, &window, &mut shown, &mut body);
         markers::landmarks(self.landmarks, &window, &mut shown, &mut body);
@@ -108,7 +108,7 @@ impl MapDrawing<'_> {
         markers::ends(&path, &window, &mut body);
         let _ = writeln!(body, "</g>");
         window.axes(&mut body);
-        if path.stretches.is_empty() {
+        if path.segments.is_empty() {
             let _ = writeln!(
                 body,
                 "<text class=\"muted\" fill=\"{MUTED}\" font-size=\"20\" text-anchor=\"middle\" x=\"{}\" y=\"{}\">\
@@ -145,7 +145,7 @@ impl MapDrawing<'_> {
             format!("in {}", scale::duration_text(path.duration_s)),
             format!("{posed} of {} frames with a pose", frames.len()),
         ];
-        let gaps = path.stretches.len().saturating_sub(1) + usize::from(path.ends_lost);
+        let gaps = path.segments.len().saturating_sub(1) + usize::from(path.ends_lost);
         if gaps > 0 {
             facts.push(if gaps == 1 { "lost once".into() } else { format!("lost {gaps} times") });
         }
@@ -225,19 +225,19 @@ fn hex((red, green, blue): (u8, u8, u8)) -> String {
 }
 
 /// The measured parts: a pale casing for contrast with the ground, then the line, coloured by time.
-fn stretches(path: &MeasuredPath<'_>, window: &DrawingWindow, body: &mut String) {
+fn measured_path(path: &MeasuredPath<'_>, window: &DrawingWindow, body: &mut String) {
     let at = |place: &path::PathPoint<'_>| window.page(place.at.x_m, place.at.y_m);
     let _ = writeln!(body, "<g fill=\"none\" stroke-linejoin=\"round\" stroke-linecap=\"round\">");
-    for stretch in &path.stretches {
-        let line = simplified(stretch.iter().map(at), 0.25);
+    for segment in &path.segments {
+        let line = simplified(segment.iter().map(at), 0.25);
         polyline(&line, &format!("class=\"casing\" stroke=\"{BACKGROUND}\" stroke-width=\"6.5\""), body);
     }
     let colour_of = |time_s: f64| {
         let moment = if path.duration_s > 0.0 { time_s / path.duration_s } else { 0.0 };
         ((moment * TIME_COLOURS as f64) as usize).min(TIME_COLOURS - 1)
     };
-    for stretch in &path.stretches {
-        let mut rest = &stretch[..];
+    for segment in &path.segments {
+        let mut rest = &segment[..];
         while let Some(first) = rest.first() {
             let colour = colour_of(first.time_s);
             let same = rest.iter().take_while(|p| colour_of(p.time_s) == colour).count().max(1);
@@ -255,7 +255,7 @@ fn stretches(path: &MeasuredPath<'_>, window: &DrawingWindow, body: &mut String)
 fn gaps(path: &MeasuredPath<'_>, window: &DrawingWindow, body: &mut String) -> Vec<(f64, f64)> {
     let at = |place: &path::PathPoint<'_>| window.page(place.at.x_m, place.at.y_m);
     let mut breaks = vec![];
-    for pair in path.stretches.windows(2) {
+    for pair in path.segments.windows(2) {
         if let (Some(before), Some(after)) = (pair[0].last(), pair[1].first()) {
             let (before, after) = (at(before), at(after));
             let _ = writeln!(

@@ -10,11 +10,11 @@ pub(super) struct PathPoint<'a> {
     pub at: &'a PlaceSummary,
 }
 
-/// The measured path: poses of one stretch follow each other frame by frame; between stretches the
+/// The measured path: the poses of a segment are those of consecutive frames; between segments the
 /// camera was lost.
 #[derive(Debug, Default)]
 pub(super) struct MeasuredPath<'a> {
-    pub stretches: Vec<Vec<PathPoint<'a>>>,
+    pub segments: Vec<Vec<PathPoint<'a>>>,
     /// Whether frames were lost after the last pose.
     pub ends_lost: bool,
     /// From the first frame to the last, seconds.
@@ -22,7 +22,7 @@ pub(super) struct MeasuredPath<'a> {
 }
 
 impl<'a> MeasuredPath<'a> {
-    /// Splits frames into stretches: at every lost frame and wherever the segment changes. Poses
+    /// Splits frames into segments: at every lost frame and wherever the segment changes. Poses
     /// that are not finite are lost.
     pub fn new(frames: &'a [FrameSummary]) -> Self {
         let mut path = Self::default();
@@ -37,23 +37,23 @@ impl<'a> MeasuredPath<'a> {
             });
             let Some(at) = usable else {
                 segment = None;
-                path.ends_lost = !path.stretches.is_empty();
+                path.ends_lost = !path.segments.is_empty();
                 continue;
             };
             if segment != Some(frame.segment) {
-                path.stretches.push(vec![]);
+                path.segments.push(vec![]);
                 segment = Some(frame.segment);
             }
             path.ends_lost = false;
-            if let Some(stretch) = path.stretches.last_mut() {
-                stretch.push(PathPoint { time_s: frame.time_s - first.time_s, at });
+            if let Some(segment) = path.segments.last_mut() {
+                segment.push(PathPoint { time_s: frame.time_s - first.time_s, at });
             }
         }
         path
     }
 
     pub fn places(&self) -> impl DoubleEndedIterator<Item = &PathPoint<'a>> {
-        self.stretches.iter().flatten()
+        self.segments.iter().flatten()
     }
 }
 

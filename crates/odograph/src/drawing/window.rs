@@ -7,19 +7,20 @@ use super::{AXIS, BACKGROUND, FAINT, INK, MUTED};
 use crate::geometry::Placement;
 use std::fmt::Write;
 
-/// Pages narrower than this, as on a phone, have smaller margins and stand upright.
+/// Pages narrower than this, drawing units, have smaller margins and stand upright, as on a phone.
 const NARROW: f64 = 700.0;
-/// Left edge of the drawn ground on a wide and on a narrow page.
+/// Left edge of the drawn ground on a wide and on a narrow page, drawing units: room for the labels
+/// of the axis.
 const LEFT: (f64, f64) = (86.0, 76.0);
-/// From the right edge of the drawn ground to that of the page.
+/// From the right edge of the drawn ground to that of the page, drawing units.
 pub(super) const RIGHT_MARGIN: f64 = 34.0;
 /// Least and greatest height of the drawn ground, as a share of the page's width.
 const HEIGHTS: (f64, f64) = (0.35, 0.75);
 const NARROW_HEIGHTS: (f64, f64) = (0.6, 1.2);
 /// Room around the path for markers and their words on a wide and on a narrow page, drawing units.
 const MARGIN: (f64, f64) = (48.0, 30.0);
-/// Nothing smaller than this is blown up to fill the page, metres: below it there is only noise.
-const LEAST_EXTENT_M: f64 = 0.004;
+/// Smallest extent that is enlarged to fill the page, metres: a path below it is noise.
+const MIN_EXTENT_M: f64 = 0.004;
 
 /// Left edge of the drawn ground, and of all words over it, on a page of the given width.
 pub(super) fn left(page_width: f64) -> f64 {
@@ -63,7 +64,7 @@ impl DrawingWindow {
             (low, high) = ((-0.5, -0.2), (0.5, 0.2));
         }
         let centre_m = (0.5 * (low.0 + high.0), 0.5 * (low.1 + high.1));
-        let least = LEAST_EXTENT_M.max(1e-9 * (centre_m.0.abs() + centre_m.1.abs()));
+        let least = MIN_EXTENT_M.max(1e-9 * (centre_m.0.abs() + centre_m.1.abs()));
         let (width_m, height_m) = (high.0 - low.0, high.1 - low.1);
         let left = left(page_width);
         let (margin, heights) = match page_width < NARROW {

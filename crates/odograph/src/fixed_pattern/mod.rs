@@ -72,7 +72,7 @@ const MOVED_SHARE: f64 = 0.33;
 const MOVED_SHARE_OF_GROUND: f64 = 0.6;
 
 /// Minimum fraction of blocks with texture; with fewer the image is not used.
-const LEAST_TEXTURED: f64 = 0.05;
+const MIN_TEXTURED: f64 = 0.05;
 
 /// Static regions larger than this fraction of the image may attract all corners and are masked at
 /// once. Smaller ones must be found in two consecutive decisions after at least `SURE_SAMPLES`
@@ -82,7 +82,7 @@ const SURE_SAMPLES: u32 = 20;
 
 /// Lower bound of the noise variance, gray levels²: quantisation to integer gray levels and detail
 /// removed by codecs.
-const LEAST_NOISE: f64 = 0.3;
+const MIN_NOISE: f64 = 0.3;
 
 impl FixedPattern {
     /// A model without evidence, for images of this size.
@@ -98,7 +98,7 @@ impl FixedPattern {
             now: Cells::new(size),
             statistics: GradientStatistics::new(size),
             change: Change::new(size),
-            noise: LEAST_NOISE,
+            noise: MIN_NOISE,
             is_everywhere: false,
             before: vec![false; count],
             lasting: vec![false; count],
@@ -154,21 +154,21 @@ impl FixedPattern {
         }
         self.now.fill(image);
         if self.statistics.samples() == 0 {
-            self.noise = noise_variance(image).max(LEAST_NOISE);
+            self.noise = noise_variance(image).max(MIN_NOISE);
             self.take();
             return SinceLast::Unclear;
         }
         self.change.between(&self.last, &self.now, self.noise, self.mask.as_deref());
         let wanted = if self.mask.is_some() { MOVED_SHARE_OF_GROUND } else { MOVED_SHARE };
         let Change { blocks, textured, moved, .. } = self.change;
-        if (textured as f64) < LEAST_TEXTURED * blocks as f64 || (moved as f64) < wanted * textured as f64 {
+        if (textured as f64) < MIN_TEXTURED * blocks as f64 || (moved as f64) < wanted * textured as f64 {
             return SinceLast::Unclear;
         }
         // Both estimates are upper bounds: fine texture is taken for noise, and where everything
         // moves no block contains noise alone.
         let by_change = self.change.least_noise();
         let by_image = if eager { noise_variance(image) } else { self.noise };
-        self.noise = by_image.min(by_change).max(LEAST_NOISE);
+        self.noise = by_image.min(by_change).max(MIN_NOISE);
         self.take();
         SinceLast::Moved
     }

@@ -19,7 +19,7 @@ pub struct NonuniformityCorrection {
 
 /// Memory of the exponential moving average, samples: of the ground's variance, 1/128 is left in
 /// the mean.
-const MOST_SAMPLES: u32 = 64;
+const MAX_SAMPLES: u32 = 64;
 
 /// The strength of the pattern is estimated from every fourth row.
 const STRENGTH_ROWS: usize = 4;
@@ -47,7 +47,7 @@ impl NonuniformityCorrection {
 
     /// Adds an image of ground that has moved since the last one.
     pub fn learn(&mut self, image: &GrayImage) {
-        self.samples = (self.samples + 1).min(MOST_SAMPLES);
+        self.samples = (self.samples + 1).min(MAX_SAMPLES);
         let weight = 1.0 / self.samples as f32;
         let mut sum = 0.0f64;
         for (mean, &sample) in self.mean.iter_mut().zip(image.samples()) {
@@ -107,7 +107,7 @@ mod tests {
 
     fn learned() -> NonuniformityCorrection {
         let mut correction = NonuniformityCorrection::new(SIZE);
-        (0..MOST_SAMPLES).for_each(|number| correction.learn(&image(number.into(), 4)));
+        (0..MAX_SAMPLES).for_each(|number| correction.learn(&image(number.into(), 4)));
         correction
     }
 

@@ -180,7 +180,7 @@ pub(super) struct GradientStatistics {
 
 /// Memory of the exponential moving average, samples: dirt that appears during the drive is found
 /// after about this many.
-const MOST_SAMPLES: u32 = 48;
+const MAX_SAMPLES: u32 = 48;
 
 /// Neighbourhood radius, cells: 5x5 cells are 20 pixels, the size of a patch.
 const REACH: usize = 2;
@@ -205,10 +205,10 @@ const ALSO_OVER_VARIANCE: f32 = 0.2;
 const GROWN_CELLS: usize = 4;
 
 /// A cell moves where its mean squared gradient is below `MOVES` times its variance. At least
-/// `LEAST_MOVING` of the textured cells must move: a camera that vibrates about one position blurs
+/// `MIN_MOVING` of the textured cells must move: a camera that vibrates about one position blurs
 /// everything alike.
 const MOVES: f32 = 0.5;
-const LEAST_MOVING: f64 = 0.25;
+const MIN_MOVING: f64 = 0.25;
 
 /// Static gradients are everywhere if their square exceeds this part of the variance in most cells.
 /// Measured after twelve samples: 0.8 of the cells of a sensor in the dark; of clean drives at most
@@ -249,7 +249,7 @@ impl GradientStatistics {
     }
 
     pub fn add(&mut self, cells: &Cells) {
-        self.samples = (self.samples + 1).min(MOST_SAMPLES);
+        self.samples = (self.samples + 1).min(MAX_SAMPLES);
         self.added = self.added.wrapping_add(1);
         let weight = 1.0 / self.samples as f32;
         for row in 0..self.rows - 1 {
@@ -303,7 +303,7 @@ impl GradientStatistics {
                 moving += usize::from(energy < MOVES * variance);
             }
         }
-        if (moving as f64) < LEAST_MOVING * textured as f64 || !self.fixed.contains(&true) {
+        if (moving as f64) < MIN_MOVING * textured as f64 || !self.fixed.contains(&true) {
             self.fixed.fill(false);
             return;
         }

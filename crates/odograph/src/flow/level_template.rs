@@ -4,7 +4,7 @@ use super::patch::{AREA, SIDE, TO_CENTRE, gradient_noise};
 use crate::geometry::Pixel;
 use crate::image::Pyramid;
 use crate::image::simd::{
-    Appearance, Orthogonal, PatchSums, Plane, patch_sums, weighted_sums, write_appearance,
+    Orthogonal, PatchSums, Plane, TemplateSamples, patch_sums, weighted_sums, write_appearance,
 };
 use nalgebra::{Matrix2, Vector2};
 use std::cell::RefCell;
@@ -36,7 +36,7 @@ pub(super) struct LevelTemplate {
 /// Memory of one appearance from a pool. A keyframe has hundreds of 3 KiB each, and the next one as
 /// many again; fresh memory from the system costs more than writing into it.
 #[derive(Debug, Clone)]
-struct PooledAppearance(Vec<Appearance>);
+struct PooledAppearance(Vec<TemplateSamples>);
 
 /// Most appearances kept per thread: those of a keyframe with its coarser levels.
 const MAX_POOLED: usize = 1024;
@@ -49,7 +49,7 @@ impl PooledAppearance {
     /// Uninitialised appearance.
     fn new() -> Self {
         let pool = POOL.try_with(|pool| pool.borrow_mut().pop()).ok().flatten();
-        pool.unwrap_or_else(|| Self(vec![Appearance::ZERO]))
+        pool.unwrap_or_else(|| Self(vec![TemplateSamples::ZERO]))
     }
 }
 
@@ -68,7 +68,7 @@ impl Drop for LevelTemplate {
 
 impl LevelTemplate {
     /// Contrast and gradients of the patch.
-    pub fn appearance(&self) -> &Appearance {
+    pub fn appearance(&self) -> &TemplateSamples {
         &self.appearance.0[0]
     }
 
@@ -97,8 +97,8 @@ impl LevelTemplate {
         let [x, y] = [(sums.x, weighted.x), (sums.y, weighted.y)].map(|(sum, by)| plane(sum, by, 0.5));
         let even = [samples, x, y].map(|plane| Plane { slope: [0.0; 2], ..plane });
         let noise_part = gradient_noise(pyramid.noise_variance() * VARIANCE_PER_LEVEL.powi(level as i32));
-        let in_even_light = TemplateProducts::new(&sums, &even)?;
-        let in_uneven_light = TemplateProducts::new(&sums, &[samples, x, y]).filter(|products| {
+        let in_even_light = DetrendedProducts::new(&sums, &even)?;
+        let in_uneven_light = DetrendedProducts::new(&sums, &[samples, x, y]).filter(|products| {
             let [kept, whole] = [products, &in_even_light].map(|of| of.smaller_eigenvalue - noise_part);
             kept > MIN_KEPT * whole.max(0.0)
         });
@@ -107,7 +107,7 @@ impl LevelTemplate {
         if products.smaller_eigenvalue < AREA as f64 * MIN_SQUARED_GRADIENT {
             return None;
         }
-        let TemplateProducts { contrast_energy, contrast_projection, hessian, .. } = products;
+        let DetrendedProducts { contrast_energy, contrast_projection, hessian, .. } = products;
         let inverse_hessian = hessian.try_inverse()?;
         let mut appearance = PooledAppearance::new();
         let removed = Orthogonal { planes, shares: contrast_projection.into() };
@@ -146,14 +146,14 @@ const MIN_SQUARED_GRADIENT: f64 = 0.01;
 
 /// Products of contrast and gradients after planes are subtracted from them, and from the gradients
 /// their projection onto the contrast.
-struct TemplateProducts {
+struct DetrendedProducts {
     contrast_energy: f64,
     contrast_projection: Vector2<f64>,
     hessian: Matrix2<f64>,
     smaller_eigenvalue: f64,
 }
 
-impl TemplateProducts {
+impl DetrendedProducts {
     /// Of a patch with these sums, less the planes of samples and of gradients along x and y.
     /// `None` where there is hardly any contrast.
     fn new(sums: &PatchSums, [samples, plane_x, plane_y]: &[Plane; 3]) -> Option<Self> {

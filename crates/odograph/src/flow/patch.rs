@@ -1,7 +1,7 @@
 //! Square patches of samples: the window of Lucas–Kanade.
 
 use crate::image::GrayImage;
-use crate::image::simd::{Appearance, Grid, sample_and_multiply, sample_patch};
+use crate::image::simd::{Grid, TemplateSamples, sample_and_multiply, sample_patch};
 use nalgebra::{Matrix2, Vector2};
 
 pub use crate::image::simd::{PATCH_SIDE as SIDE, Patch as Samples};
@@ -34,7 +34,7 @@ pub fn sample_products(
     image: &GrayImage,
     centre: Vector2<f64>,
     linear: &Matrix2<f64>,
-    appearance: &Appearance,
+    appearance: &TemplateSamples,
     samples: &mut Samples,
 ) -> Option<TemplateProducts> {
     let grid = grid_inside(image, centre, linear)?;

@@ -116,9 +116,9 @@ fn table(text: &str) -> Result<Table> {
     if let Some(unknown) = table.keys().find(|key| !KEYS.contains(&key.as_str())) {
         let shown: String = unknown.chars().take(40).flat_map(char::escape_debug).collect();
         // Every key of a few letters resembles the shortest ones.
-        let long = KEYS.iter().filter(|key| key.len() > MOST_EDITS);
+        let long = KEYS.iter().filter(|key| key.len() > MAX_EDITS);
         let nearest = long.map(|key| (edits(&shown, key), key)).min();
-        let hint = match nearest.filter(|(edits, _)| *edits <= MOST_EDITS) {
+        let hint = match nearest.filter(|(edits, _)| *edits <= MAX_EDITS) {
             Some((_, key)) => format!("did you mean `{key}`?"),
             None => "the keys are height_m, roll_deg, pitch_deg, yaw_deg, and x_m, y_m, z_m of the camera in base_link"
                 .to_owned(),
@@ -129,7 +129,7 @@ fn table(text: &str) -> Result<Table> {
 }
 
 /// A key with more edits than this to the nearest known one is no misspelling of it.
-const MOST_EDITS: usize = 4;
+const MAX_EDITS: usize = 4;
 
 /// Levenshtein distance: insertions, deletions and substitutions of a character from `a` to `b`.
 fn edits(a: &str, b: &str) -> usize {

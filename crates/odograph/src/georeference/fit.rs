@@ -18,7 +18,7 @@ pub const SCALE: usize = 4;
 
 /// A fix with the path at its time.
 #[derive(Debug, Clone, Copy)]
-pub struct Pair {
+pub struct FixPair {
     /// Number of the fix.
     pub fix: usize,
     /// The antenna in the map.
@@ -40,11 +40,11 @@ pub struct Pairing<'a> {
 
 impl Pairing<'_> {
     /// The fixes at whose times there is a path, if the receiver's clock is ahead by `offset_s`.
-    pub fn at(&self, offset_s: f64) -> Vec<Pair> {
+    pub fn at(&self, offset_s: f64) -> Vec<FixPair> {
         (0..self.fixes.len()).filter_map(|fix| self.pair(fix, offset_s)).collect()
     }
 
-    fn pair(&self, fix: usize, offset_s: f64) -> Option<Pair> {
+    fn pair(&self, fix: usize, offset_s: f64) -> Option<FixPair> {
         let time_s = self.fixes[fix].time_s - offset_s;
         let next = self.path.partition_point(|at| at.time_s <= time_s).min(self.path.len().checked_sub(1)?);
         let (before, after) = (&self.path[next.checked_sub(1)?], &self.path[next]);
@@ -55,7 +55,7 @@ impl Pairing<'_> {
             return None;
         }
         let velocity_m_s = (after.position_m - before.position_m) / step_s;
-        Some(Pair {
+        Some(FixPair {
             fix,
             position_m: before.position_m + velocity_m_s * (time_s - before.time_s),
             velocity_m_s,
@@ -68,26 +68,26 @@ impl Pairing<'_> {
 
 /// Values of the unknowns.
 #[derive(Debug, Clone, Copy)]
-struct Model {
+struct PlacementModel {
     heading_rad: f64,
     middle_in_plane_m: Vector2<f64>,
     offset_s: f64,
     scale: f64,
 }
 
-impl Model {
+impl PlacementModel {
     fn rotation(&self) -> Matrix2<f64> {
         let (sin, cos) = self.heading_rad.sin_cos();
         Matrix2::new(cos, -sin, sin, cos)
     }
 
-    fn residual(&self, pair: &Pair, middle_m: Vector2<f64>) -> Vector2<f64> {
+    fn residual(&self, pair: &FixPair, middle_m: Vector2<f64>) -> Vector2<f64> {
         let arm = self.scale * (self.rotation() * (pair.position_m - middle_m));
         pair.in_plane_m - self.middle_in_plane_m - arm
     }
 
     /// Covariance of the residual.
-    fn covariance(&self, pair: &Pair) -> Matrix2<f64> {
+    fn covariance(&self, pair: &FixPair) -> Matrix2<f64> {
         let turned = self.scale * self.rotation();
         pair.covariance_m2 + turned * pair.path_covariance_m2 * turned.transpose()
     }
@@ -100,14 +100,14 @@ pub struct Fitted {
     pub offset_s: f64,
     pub middle_m: Vector2<f64>,
     pub covariance: Matrix5<f64>,
-    pub used: Vec<Pair>,
+    pub used: Vec<FixPair>,
     /// Robust variance of the residuals of all fixes in units of the stated one.
     pub spread: f64,
 }
 
 impl Fitted {
     /// A fix less where the path has it, metres east and north.
-    pub fn residual(&self, pair: &Pair) -> Vector2<f64> {
+    pub fn residual(&self, pair: &FixPair) -> Vector2<f64> {
         let there = self.pose.apply(GroundPoint::new(pair.position_m.x, pair.position_m.y));
         pair.in_plane_m - Vector2::new(there.x_m, there.y_m)
     }
@@ -171,7 +171,7 @@ pub fn fit(pairing: &Pairing<'_>, clock_sigma_s: f64) -> Option<Fitted> {
 const ROUNDS: usize = 10;
 
 /// The squared residual of a pair in its standard deviations.
-fn squared(model: &Model, pair: &Pair, middle_m: Vector2<f64>) -> Option<f64> {
+fn squared(model: &PlacementModel, pair: &FixPair, middle_m: Vector2<f64>) -> Option<f64> {
     let residual = model.residual(pair, middle_m);
     Some(residual.dot(&(model.covariance(pair).try_inverse()? * residual)))
 }
@@ -184,8 +184,8 @@ struct Solver<'a> {
 
 /// A minimum.
 struct Solution {
-    model: Model,
-    pairs: Vec<Pair>,
+    model: PlacementModel,
+    pairs: Vec<FixPair>,
     /// The squared residual of each pair.
     squares: Vec<f64>,
     /// Robust variance of the residuals in units of the stated one, and the same if it is above 1.
@@ -201,7 +201,7 @@ const CONVERGED: f64 = 1e-4;
 
 impl Solver<'_> {
     /// Gauss–Newton with Cauchy's loss on all pairs, or by least squares on the `chosen` fixes.
-    fn solve(&self, start: Model, with_scale: bool, chosen: Option<&[bool]>) -> Option<Solution> {
+    fn solve(&self, start: PlacementModel, with_scale: bool, chosen: Option<&[bool]>) -> Option<Solution> {
         let mut model = start;
         for iteration in 0.. {
             let mut pairs = self.pairing.at(model.offset_s);
@@ -249,7 +249,7 @@ impl Solver<'_> {
     }
 
     /// Derivative of where the path has a fix.
-    fn jacobian(&self, model: &Model, pair: &Pair, with_scale: bool) -> SMatrix<f64, 2, 5> {
+    fn jacobian(&self, model: &PlacementModel, pair: &FixPair, with_scale: bool) -> SMatrix<f64, 2, 5> {
         let turned = model.scale * model.rotation();
         let arm = turned * (pair.position_m - self.middle_m);
         let by_clock = -(turned * pair.velocity_m_s);
@@ -303,19 +303,19 @@ const CLOCK_STEP_S: f64 = 0.1;
 
 /// The best of the placements by two random fixes, and the middle of the path at the fixes (M. A.
 /// Fischler and R. C. Bolles, 1981; the cost is MSAC's, P. H. S. Torr and A. Zisserman, 2000).
-fn sampled(pairing: &Pairing<'_>, clock_sigma_s: f64) -> Option<(Model, Vector2<f64>)> {
+fn sampled(pairing: &Pairing<'_>, clock_sigma_s: f64) -> Option<(PlacementModel, Vector2<f64>)> {
     let steps = if clock_sigma_s <= CLOCK_TOLERANCE_S {
         0
     } else {
         (3.0 * clock_sigma_s / CLOCK_STEP_S).ceil() as i64
     };
     let tolerated_s = if steps == 0 { clock_sigma_s } else { CLOCK_STEP_S };
-    let mut best: Option<(f64, Model, Vector2<f64>)> = None;
+    let mut best: Option<(f64, PlacementModel, Vector2<f64>)> = None;
     for step in -steps..=steps {
         let offset_s = step as f64 * CLOCK_STEP_S;
         let pairs = pairing.at(offset_s);
         let Some(middle_m) = middle(&pairs) else { continue };
-        let judges: Vec<Pair> = pairs.iter().step_by(pairs.len().div_ceil(JUDGES)).copied().collect();
+        let judges: Vec<FixPair> = pairs.iter().step_by(pairs.len().div_ceil(JUDGES)).copied().collect();
         let missing = (pairing.fixes.len() - pairs.len()) as f64 / pairs.len() as f64;
         let own = (offset_s / clock_sigma_s).powi(2) + SAMPLE_GATE_SQUARED * missing * judges.len() as f64;
         let mut random = Random::new(0);
@@ -327,7 +327,8 @@ fn sampled(pairing: &Pairing<'_>, clock_sigma_s: f64) -> Option<(Model, Vector2<
             } else {
                 0.0
             };
-            let mut model = Model { heading_rad, middle_in_plane_m: Vector2::zeros(), offset_s, scale: 1.0 };
+            let mut model =
+                PlacementModel { heading_rad, middle_in_plane_m: Vector2::zeros(), offset_s, scale: 1.0 };
             model.middle_in_plane_m = 0.5 * (model.residual(a, middle_m) + model.residual(b, middle_m));
             let cost =
                 own + judges.iter().map(|pair| sample_cost(&model, pair, middle_m, tolerated_s)).sum::<f64>();
@@ -339,7 +340,7 @@ fn sampled(pairing: &Pairing<'_>, clock_sigma_s: f64) -> Option<(Model, Vector2<
     best.map(|(_, model, middle_m)| (model, middle_m))
 }
 
-fn sample_cost(model: &Model, pair: &Pair, middle_m: Vector2<f64>, tolerated_s: f64) -> f64 {
+fn sample_cost(model: &PlacementModel, pair: &FixPair, middle_m: Vector2<f64>, tolerated_s: f64) -> f64 {
     let by_clock = model.rotation() * pair.velocity_m_s * tolerated_s;
     let bends_m2 = (PATH_TOLERANCE * (pair.position_m - middle_m).norm()).powi(2);
     let covariance =
@@ -350,6 +351,6 @@ fn sample_cost(model: &Model, pair: &Pair, middle_m: Vector2<f64>, tolerated_s: 
     })
 }
 
-fn middle(pairs: &[Pair]) -> Option<Vector2<f64>> {
+fn middle(pairs: &[FixPair]) -> Option<Vector2<f64>> {
     (!pairs.is_empty()).then(|| pairs.iter().map(|p| p.position_m).sum::<Vector2<f64>>() / pairs.len() as f64)
 }

@@ -231,7 +231,7 @@ pub fn georeference(
 
 /// Covariance of an error that all fixes have in common, as that of satellite orbits, atmosphere
 /// and base station: taken to be as large as that of one fix.
-fn common(used: &[fit::Pair]) -> Matrix2<f64> {
+fn common(used: &[fit::FixPair]) -> Matrix2<f64> {
     used.iter().map(|pair| pair.covariance_m2).sum::<Matrix2<f64>>() / used.len() as f64
 }
 

@@ -25,10 +25,10 @@ pub trait KeyframeImages {
 pub trait KeyframeStore: KeyframeImages + Send {
     /// Stores a keyframe with its image and its edges to earlier ones. Fails if they cannot be
     /// written.
-    fn keep(&mut self, keyframe: &MapKeyframe, image: KeyframeImage, ties: &[MapEdge]) -> Result<()>;
+    fn keep(&mut self, keyframe: &MapKeyframe, image: KeyframeImage, edges: &[MapEdge]) -> Result<()>;
 
     /// Stores an edge between stored keyframes. Fails if it cannot be written.
-    fn tie(&mut self, edge: &MapEdge) -> Result<()>;
+    fn add_edge(&mut self, edge: &MapEdge) -> Result<()>;
 }
 
 /// Uncompressed images in memory, a few hundred kilobytes each. The numbers of the map are in the
@@ -51,7 +51,7 @@ impl KeyframeStore for MemoryImages {
         Ok(())
     }
 
-    fn tie(&mut self, _: &MapEdge) -> Result<()> {
+    fn add_edge(&mut self, _: &MapEdge) -> Result<()> {
         Ok(())
     }
 }

@@ -1,9 +1,9 @@
 //! Landmarks: markers on the ground that keyframes show, each known by its number.
 //!
-//! A [`MarkerSighting`] is where a keyframe has a marker. Two sightings of the same marker tie
-//! their keyframes together wherever the path has drifted ([`MarkerSighting::tie`]); a surveyed one
-//! has a place in the survey frame ([`ControlPoint`]). Derivation: `docs/math/pose-graph.md`,
-//! "Markers".
+//! A [`MarkerSighting`] is where a keyframe has a marker. Two sightings of the same marker are an
+//! edge between their keyframes, however far the path has drifted ([`MarkerSighting::edge_to`]); a
+//! surveyed one has a place in the survey frame ([`ControlPoint`]). Derivation:
+//! `docs/math/pose-graph.md`, "Markers".
 
 use crate::camera::Camera;
 use crate::geometry::pose_index::{HEADING, HEIGHT, LN_SCALE};
@@ -67,14 +67,14 @@ pub struct PlacedSighting {
 pub struct MarkerRecord {
     /// In order of time.
     pub sightings: Vec<PlacedSighting>,
-    /// Number of edges that they made.
-    pub ties: usize,
+    /// Number of edges between them.
+    pub edges: usize,
 }
 
 /// Standard deviation of a corner of a marker along an axis of the image, pixels.
 const CORNER_SIGMA_PX: f64 = 0.2;
 /// Largest relative difference of a side or a diagonal from those of a square.
-const MOST_SKEWED: f64 = 0.12;
+const MAX_SKEWED: f64 = 0.12;
 
 impl MarkerSighting {
     /// A marker with these corners (clockwise from the top left as printed) in the image of a
@@ -137,7 +137,7 @@ impl MarkerSighting {
     /// The edge between the keyframes of two sightings of the same marker, from that of `self` to
     /// that of `other`. `heights_m` are the heights at which the two were measured; where heights
     /// are `held`, metres are equal.
-    pub fn tie(&self, other: &Self, heights_m: [f64; 2], held: bool) -> MapEdge {
+    pub fn edge_to(&self, other: &Self, heights_m: [f64; 2], held: bool) -> MapEdge {
         let by_side = |sighting: &Self| {
             let Se2 { x_m, y_m, heading_rad } = sighting.keyframe_from_marker;
             let scale = if held { 1.0 } else { sighting.side_m };
@@ -190,7 +190,7 @@ fn square_on_ground(corners: &[Pixel; 4], camera: &Camera, pose: &GroundPose) ->
     let side_m = top.norm();
     let sides = [b - a, c - b, d - c, a - d].map(|side| side.norm() / side_m);
     let diagonals = [c - a, d - b].map(|diagonal| diagonal.norm() / (side_m * std::f64::consts::SQRT_2));
-    let is_square = sides.iter().chain(&diagonals).all(|ratio| (ratio - 1.0).abs() < MOST_SKEWED);
+    let is_square = sides.iter().chain(&diagonals).all(|ratio| (ratio - 1.0).abs() < MAX_SKEWED);
     is_square.then(|| (Se2::new(centre.x, centre.y, top.y.atan2(top.x)), side_m))
 }
 
@@ -248,8 +248,8 @@ mod tests {
                 MarkerSighting::new(0, KeyframeId(id), &seen, &camera(), by, &Matrix6::zeros()).unwrap()
             };
             let (first, second) = (see(&a, &a, 1), see(&b, &measured, 2));
-            let tie = first.tie(&second, [a.height_m, measured.height_m], false);
-            let off = tie.motion - relative_motion(&a, &b);
+            let edge = first.edge_to(&second, [a.height_m, measured.height_m], false);
+            let off = edge.motion - relative_motion(&a, &b);
             prop_assert!(off[0].hypot(off[1]) < 1e-3 && crate::geometry::wrap_angle(off[2]).abs() < 2e-3 && off[3].abs() < 2e-3, "{off}");
         }
     }

@@ -41,14 +41,17 @@ pub enum Strength {
     Weak,
 }
 
-/// Convergence range of the tracker, pixels (three standard deviations).
+/// Convergence range of the tracker, pixels: within it three standard deviations of the predicted
+/// position need no global registration.
 const SURE_PX: f64 = 8.0;
 
-/// Maximum standard deviation of an unambiguous position, as a share of the view.
+/// Maximum standard deviation of a position at which one match suffices, as a share of the view.
+/// Larger accepts more loops from one match, and more false ones on repetitive ground.
 const MAX_UNCERTAIN_VIEWS: f64 = 0.1;
 
-/// Search limit: standard deviation as a share of the view. Later ones are at least about as
-/// uncertain, since the search also orders by heading.
+/// Search limit: standard deviation as a share of the view. Larger compares more keyframes that are
+/// not in view. Candidates after the first one above the limit are at least about as uncertain,
+/// since the search also orders by heading.
 const HOPELESS_VIEWS: f64 = 3.0;
 
 impl Prior {

@@ -39,26 +39,28 @@ const FINE: usize = 2;
 const CELL: usize = 8;
 const COARSE: usize = 16;
 
-/// Minimum number of coarse squares; a whole view has 300.
-const LEAST_SQUARES: usize = 60;
+/// Minimum number of coarse squares in the overlap; a whole view has 300. Fewer judge smaller
+/// overlaps, with more scatter of the two measures.
+const MIN_SQUARES: usize = 60;
 
-/// Brightness, gray levels: outside it a ratio is one of noise or of saturation.
+/// Range of brightness, gray levels, in which ratios are taken: below it they are noise, above it
+/// saturated.
 const DARKEST: f64 = 4.0;
 const BRIGHTEST: f64 = 250.0;
 
 /// Largest ratio of the coarse to the fine difference of two images of one place. White noise has
 /// 0.125; of rendered tiles of 20 cm 19 in 20 images have less, and 0.65 to 0.76 at any other
 /// period.
-const MOST_STRUCTURE: f64 = 0.35;
+const MAX_STRUCTURE: f64 = 0.35;
 
 /// Largest coarse difference: noise does not hide another place. Rendered tiles have 0.0007 to
 /// 0.0044, and 0.015 to 0.020 at any other period.
-const MOST_DIFFERENCE: f64 = 0.008;
+const MAX_DIFFERENCE: f64 = 0.008;
 
 impl Likeness {
     /// Compares the ground that both images show; `None` if that is too little.
     pub fn of(one: &RegisteredImage<'_>, other: &RegisteredImage<'_>) -> Option<Self> {
-        let cells = Cells::new(one, other);
+        let cells = OverlapGrid::new(one, other);
         let fitted = cells.fitted_light()?;
         let (mut fine, mut groups) = (0.0, 0usize);
         for cell in cells.cells.iter().flatten() {
@@ -76,32 +78,32 @@ impl Likeness {
                 squares += 1;
             }
         }
-        (squares >= LEAST_SQUARES)
+        (squares >= MIN_SQUARES)
             .then(|| Self { fine: (fine / groups as f64).sqrt(), coarse: (coarse / squares as f64).sqrt() })
     }
 
     /// Whether the images differ by little more than noise.
     pub fn is_of_one_place(&self) -> bool {
-        self.coarse <= MOST_DIFFERENCE && self.coarse <= MOST_STRUCTURE * self.fine
+        self.coarse <= MAX_DIFFERENCE && self.coarse <= MAX_STRUCTURE * self.fine
     }
 }
 
 /// The common ground, cell by cell.
-struct Cells {
+struct OverlapGrid {
     columns: usize,
     rows: usize,
-    cells: Vec<Option<Cell>>,
+    cells: Vec<Option<OverlapCell>>,
 }
 
 /// A square of [`CELL`] spots.
-struct Cell {
+struct OverlapCell {
     /// Logarithms of the ratios of brightness over its squares of [`FINE`] spots.
     ratios: [f64; (CELL / FINE) * (CELL / FINE)],
     /// Differences of the second and fourth power of the distance from the optical axis.
     radial: [f64; 2],
 }
 
-impl Cell {
+impl OverlapCell {
     fn mean(&self) -> f64 {
         self.ratios.iter().sum::<f64>() / self.ratios.len() as f64
     }
@@ -113,7 +115,7 @@ impl Cell {
 
 /// Where a sample of one image lies in the other.
 #[derive(Clone, Copy)]
-struct Node {
+struct GridNode {
     x: f64,
     y: f64,
     radial: [f64; 2],
@@ -127,7 +129,7 @@ fn level(image: &RegisteredImage<'_>) -> (usize, f64) {
     (level, (1u64 << level) as f64)
 }
 
-impl Cells {
+impl OverlapGrid {
     fn new(one: &RegisteredImage<'_>, other: &RegisteredImage<'_>) -> Self {
         let ((level_here, step), (level_there, step_there)) = (level(one), level(other));
         let (here, there) = (one.pyramid.level(level_here), other.pyramid.level(level_there));
@@ -145,9 +147,9 @@ impl Cells {
                 && !is_masked(other, found);
             let squares = [ray, seen].map(|ray| ray.x * ray.x + ray.y * ray.y);
             let radial = [squares[0] - squares[1], squares[0].powi(2) - squares[1].powi(2)];
-            is_ground.then_some(Node { x: found.x / step_there, y: found.y / step_there, radial })
+            is_ground.then_some(GridNode { x: found.x / step_there, y: found.y / step_there, radial })
         };
-        let nodes: Vec<Option<Node>> = (0..(columns + 1) * (rows + 1)).map(node).collect();
+        let nodes: Vec<Option<GridNode>> = (0..(columns + 1) * (rows + 1)).map(node).collect();
         let cell = |i: usize| {
             let (column, row) = (i % columns, i / columns);
             let at = |down: usize, right: usize| nodes[(row + down) * (columns + 1) + column + right];
@@ -175,8 +177,8 @@ impl Cells {
 fn compared(
     (here, left, top): (&GrayImage, usize, usize),
     there: &GrayImage,
-    corners: &[Node; 4],
-) -> Option<Cell> {
+    corners: &[GridNode; 4],
+) -> Option<OverlapCell> {
     const GROUPS: usize = CELL / FINE;
     let mut sums = [[0.0f64; 2]; GROUPS * GROUPS];
     let [a, b, c, d] = corners;
@@ -199,7 +201,7 @@ fn compared(
         return None;
     }
     let radial = [0, 1].map(|k| 0.25 * corners.iter().map(|corner| corner.radial[k]).sum::<f64>());
-    Some(Cell { ratios: sums.map(|[here, there]| (here / there).ln()), radial })
+    Some(OverlapCell { ratios: sums.map(|[here, there]| (here / there).ln()), radial })
 }
 
 /// The sample at a place of an image; `None` outside it.

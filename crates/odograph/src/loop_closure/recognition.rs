@@ -27,13 +27,15 @@ impl Recognised {
     }
 }
 
-/// The scale of a [`PlaceHypothesis`] is that of its metres: nothing is to be added for heights.
+/// Height ratios of a [`PlaceHypothesis`], whose scale is already that of its metres.
 const SAME_METRES: [f64; 2] = [1.0; 2];
 
-/// Number of places looked up.
-const MOST_PLACES: usize = 4;
+/// Number of places looked up: more find a place behind similar ones, and each takes a
+/// verification.
+const MAX_PLACES: usize = 4;
 
-/// A second place with at least this share of the best score makes the result ambiguous.
+/// A second place with at least this share of the best score makes the result ambiguous. Lower
+/// rejects more true loops, higher accepts more false ones.
 const RIVAL_SCORE: f64 = 0.6;
 
 /// The places that a new keyframe may show, best first: similar in appearance, not just behind it,
@@ -50,7 +52,7 @@ pub fn recognise(
     matcher: &Matcher,
     compared: &dyn Fn(KeyframeId) -> bool,
 ) -> Vec<Recognised> {
-    let hypotheses = places.query_among(signature, MOST_PLACES + least_edges, compared);
+    let hypotheses = places.query_among(signature, MAX_PLACES + least_edges, compared);
     let view_m = matcher.view_m(new.1);
     let mut found: Vec<(Recognised, &PlaceHypothesis)> = Vec::new();
     for hypothesis in &hypotheses {
@@ -84,5 +86,5 @@ pub fn recognise(
             })
     });
     let keep = |one: &(Recognised, &PlaceHypothesis)| one.0.stands_alone() || (!rival && one.1.is_sure());
-    found.into_iter().filter(keep).map(|(recognised, _)| recognised).take(MOST_PLACES).collect()
+    found.into_iter().filter(keep).map(|(recognised, _)| recognised).take(MAX_PLACES).collect()
 }

@@ -13,7 +13,7 @@ use crate::geometry::pose_index::{HEADING, X, Y};
 use crate::geometry::{Sim2, WithCovariance, wrap_angle};
 use crate::keyframe::relative_pose::position_sigma_m;
 use crate::keyframe::{EdgeKind, KeyframeId, MapEdge};
-use crate::loop_closure::matching::{LoopSighting, Matcher, Pictured, Sought};
+use crate::loop_closure::matching::{LoopSighting, Matcher, QueryKeyframe, ReferenceKeyframe};
 use nalgebra::Vector4;
 
 /// A loop closure.
@@ -29,23 +29,27 @@ pub struct LoopClosure {
     pub correction_m: f64,
 }
 
-/// Minimum number of matched corners.
-const LEAST_INLIERS: usize = 40;
+/// Minimum number of matched corners: 10 % of the 400 of a keyframe. Fewer close loops over less
+/// overlap, and let patterns that repeat pass.
+const MIN_INLIERS: usize = 40;
 
-/// Gate for ambiguous matches on repetitive patterns.
+/// Gate within which a second match makes a loop ambiguous: three times the standard deviations of
+/// [`GATE`], because patterns repeat beyond what the prior admits.
 const RIVAL_GATE: f64 = 9.0 * GATE;
 
-/// Maximum error of a registration of whole images, pixels.
+/// Maximum error of a registration of whole images, pixels: the search range of the tracker that
+/// verifies it.
 const GUESS_OFF_PX: f64 = 8.0;
 
-/// A hypothesis with a smaller share of the best score is ignored.
+/// Registrations with a smaller share of the best score are not verified. Lower finds more rivals
+/// on repetitive ground and takes longer.
 const RIVAL_SCORE: f64 = 0.6;
 
 /// Verifies a candidate. `None` if it is not in view, not consistent with its prior, or ambiguous.
-pub fn look(
+pub fn verify(
     matcher: &Matcher,
-    sought: &mut Sought,
-    pictured: &mut Pictured,
+    query: &mut QueryKeyframe,
+    reference: &mut ReferenceKeyframe,
     candidate: &LoopCandidate,
     new: KeyframeId,
     config: &LoopClosureConfig,
@@ -54,9 +58,9 @@ pub fn look(
     let expected = &prior.reached.motion;
     let sighting = if prior.strength == Strength::Sure {
         let off_px = 1.0 + 3.0 * prior.sigma_px;
-        matcher.find(sought, pictured, expected, off_px).filter(|found| is_clear(found, config))?
+        matcher.find(query, reference, expected, off_px).filter(|found| is_clear(found, config))?
     } else {
-        only_one(matcher, sought, pictured, prior, config)?
+        only_one(matcher, query, reference, prior, config)?
     };
     if misses(&sighting, prior) > GATE {
         return None;
@@ -65,7 +69,7 @@ pub fn look(
 }
 
 fn is_clear(found: &LoopSighting, config: &LoopClosureConfig) -> bool {
-    found.inliers >= LEAST_INLIERS && found.inlier_ratio >= config.least_inlier_ratio
+    found.inliers >= MIN_INLIERS && found.inlier_ratio >= config.least_inlier_ratio
 }
 
 /// Normalised innovation squared of a match.
@@ -81,22 +85,22 @@ fn misses(sighting: &LoopSighting, prior: &Prior) -> f64 {
 /// ambiguous.
 fn only_one(
     matcher: &Matcher,
-    sought: &mut Sought,
-    pictured: &mut Pictured,
+    query: &mut QueryKeyframe,
+    reference: &mut ReferenceKeyframe,
     prior: &Prior,
     config: &LoopClosureConfig,
 ) -> Option<LoopSighting> {
     let reached = &prior.reached;
     let heading_off_rad = 0.1 + 3.0 * reached.covariance[(HEADING, HEADING)].sqrt();
-    let guesses = matcher.guess(sought, pictured, &reached.motion, heading_off_rad);
+    let guesses = matcher.guess(query, reference, &reached.motion, heading_off_rad);
     let best_score = guesses.first()?.score;
     let mut found: Option<LoopSighting> = None;
     for guess in guesses.iter().filter(|guess| guess.score >= RIVAL_SCORE * best_score) {
         if normalised_innovation_squared(&guess.motion, &reached.covariance, &reached.motion) > RIVAL_GATE {
             continue;
         }
-        let Some(sighting) = matcher.find(sought, pictured, &guess.motion, GUESS_OFF_PX) else { continue };
-        if sighting.inliers < LEAST_INLIERS || sighting.inlier_ratio < 0.7 * config.least_inlier_ratio {
+        let Some(sighting) = matcher.find(query, reference, &guess.motion, GUESS_OFF_PX) else { continue };
+        if sighting.inliers < MIN_INLIERS || sighting.inlier_ratio < 0.7 * config.least_inlier_ratio {
             continue;
         }
         match &found {
@@ -116,20 +120,20 @@ fn elsewhere(a: &LoopSighting, b: &LoopSighting) -> bool {
 
 /// Verifies a place recognised by its appearance. `None` if its corners are not matched, or it is
 /// not consistent with its prior.
-pub fn look_recognised(
+pub fn verify_recognised(
     matcher: &Matcher,
-    sought: &Sought,
-    pictured: &Pictured,
+    query: &QueryKeyframe,
+    reference: &ReferenceKeyframe,
     recognised: &Recognised,
     new: KeyframeId,
     config: &LoopClosureConfig,
 ) -> Option<LoopClosure> {
-    let found = matcher.find(sought, pictured, &recognised.motion, GUESS_OFF_PX)?;
+    let found = matcher.find(query, reference, &recognised.motion, GUESS_OFF_PX)?;
     // What stands alone was not tested for rivals.
     let looks_equal = || {
-        let is_candidate = found.inliers >= LEAST_INLIERS && !recognised.stands_alone();
+        let is_candidate = found.inliers >= MIN_INLIERS && !recognised.stands_alone();
         is_candidate
-            && matcher.likeness(sought, pictured, &found).is_some_and(|likeness| likeness.is_of_one_place())
+            && matcher.likeness(query, reference, &found).is_some_and(|likeness| likeness.is_of_one_place())
     };
     if !is_clear(&found, config) && !looks_equal() {
         return None;
@@ -155,14 +159,15 @@ fn closure(new: KeyframeId, old: KeyframeId, found: &LoopSighting, off: Vector4<
 
 /// Whether an edge is consistent with a path between its keyframes that is certain enough to tell
 /// places apart.
-pub fn agrees(edge: &MapEdge, way: &WithCovariance<Sim2, 4>, view_m: f64) -> bool {
-    position_sigma_m(&way.covariance) < AGREE_VIEWS * view_m
+pub fn agrees(edge: &MapEdge, path: &WithCovariance<Sim2, 4>, view_m: f64) -> bool {
+    position_sigma_m(&path.covariance) < AGREE_VIEWS * view_m
         && normalised_innovation_squared(
             &edge.motion,
-            &(way.covariance + edge.covariance),
-            &way.transform.to_vector(),
+            &(path.covariance + edge.covariance),
+            &path.transform.to_vector(),
         ) < GATE
 }
 
-/// Maximum standard deviation of such a path, as a share of the view.
+/// Maximum standard deviation of such a path, as a share of the view: beyond it neighbouring places
+/// are consistent too.
 const AGREE_VIEWS: f64 = 0.1;

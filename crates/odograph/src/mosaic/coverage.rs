@@ -5,13 +5,15 @@ use crate::camera::Camera;
 use crate::geometry::{GroundPoint, GroundPose, Pixel, Ray};
 use std::collections::BTreeMap;
 
-/// Points along each side of an image whose ground is looked up.
+/// Sample points along each side of an image whose ground is looked up: more find narrower strips
+/// of new ground and take longer.
 const POINTS: usize = 16;
-/// Cells along the longer side of the first footprint.
+/// Cells along the longer side of the first footprint: the finest strip of new ground that counts.
 const CELLS: f64 = 32.0;
 /// Cells along each side of a square that shares a word.
 const SQUARE: i64 = 8;
-/// A change of the ground resolution by this factor starts a new grid.
+/// A change of the ground resolution by this factor starts a new grid, whose cells fit the
+/// footprint again.
 const OTHER_SCALE: f64 = 4.0;
 /// Cells farther than this from the origin are not addressed.
 const FARTHEST_CELL: f64 = 1e12;
@@ -19,7 +21,7 @@ const FARTHEST_CELL: f64 = 1e12;
 /// The ground that frames of one camera have shown, as cells a thirty-second of a frame wide: a bit
 /// each, where there are any.
 ///
-/// Every frame asks whether it shows anything new; that costs some hundred looks. Cells are seen
+/// Every frame is tested for new ground, which takes some hundred lookups. Cells are seen
 /// where their middle is inside an image.
 #[derive(Debug, Clone)]
 pub struct Coverage {
@@ -33,7 +35,7 @@ pub struct Coverage {
 }
 
 impl Coverage {
-    /// Of a camera that has seen nothing yet.
+    /// Empty coverage.
     pub fn new(camera: &Camera) -> Self {
         let at = |index: usize, size: usize| (index as f64 + 0.5) * size as f64 / POINTS as f64 - 0.5;
         let ray = |k: usize| {
@@ -55,19 +57,19 @@ impl Coverage {
         self.seen.clear();
     }
 
-    /// The share of a frame from this pose, 0 to 1, whose ground neither this nor `other` has. 0
-    /// where the camera does not look at the ground.
+    /// The share of a frame from this pose, 0 to 1, whose ground is in neither this coverage nor
+    /// `other`; 0 where the camera does not see the ground.
     pub fn share_new(&self, other: Option<&Self>, pose: &GroundPose) -> f64 {
         let Some(view) = GroundCamera::new(&self.camera, pose) else { return 0.0 };
-        let (mut looks, mut new) = (0, 0);
+        let (mut points, mut new) = (0, 0);
         for ray in &self.rays {
             let Some(point) = pose.ground_from_ray(*ray).filter(|point| view.look(*point).is_some()) else {
                 continue;
             };
-            looks += 1;
+            points += 1;
             new += i32::from(!self.has(point) && other.is_none_or(|other| !other.has(point)));
         }
-        f64::from(new) / f64::from(looks.max(1))
+        f64::from(new) / f64::from(points.max(1))
     }
 
     /// Adds what a frame from this pose shows.

@@ -1,13 +1,15 @@
-//! What part of the ground a camera sees well from a pose.
+//! The footprint: the ground that a camera sees at a usable resolution from a pose.
 
 use crate::camera::Camera;
 use crate::geometry::{GroundPoint, GroundPose, Pixel, Ray};
 use nalgebra::{Matrix2, Matrix2x3, Matrix3, Vector3};
 
-/// Cells of the grid of pixels that stands for an image, on each side.
+/// Cells of the grid that stands for an image, on each side: more follow the outline better and
+/// take longer.
 const GRID: usize = 20;
-/// A metre of ground must have at least this share of the pixels it has in the middle of the image.
-const LEAST_DENSITY: f64 = 0.25;
+/// Minimum pixels per metre of ground, as a share of that at the image centre: lower shows more
+/// ground towards the horizon, blurred.
+const MIN_DENSITY: f64 = 0.25;
 
 /// The rays of a grid of pixels, from border to border of the image; they cost an iteration each
 /// and change only with the camera.
@@ -78,7 +80,7 @@ impl Footprint {
     }
 }
 
-/// A camera at a pose, ready to say where it sees a ground point.
+/// A camera at a pose, which projects ground points with the resolution at which it sees them.
 pub(super) struct GroundCamera<'a> {
     camera: &'a Camera,
     pose: &'a GroundPose,
@@ -100,7 +102,7 @@ pub(super) struct GroundSample {
 }
 
 impl GroundSample {
-    /// How much this view of the point counts against others, up to 1.
+    /// Weight of this view of the point, up to 1.
     pub fn quality(&self) -> f64 {
         self.density.min(1.0).powi(2)
     }
@@ -125,8 +127,8 @@ impl<'a> GroundCamera<'a> {
         let point = pose.ground_from_ray(camera.ray_from_pixel(middle)?)?;
         let (_, derivative) = view.project(point)?;
         let centre = (least_stretch(&derivative), derivative.determinant().abs().sqrt());
-        // The ratio is the square root of the cosine of the tilt: beyond 85° from plumb nothing of
-        // use is seen.
+        // The ratio is the square root of the cosine of the tilt: beyond 85° from plumb nothing
+        // useful is seen.
         let usable =
             centre.0.is_finite() && centre.1.is_finite() && centre.0 > 0.29 * centre.1 && centre.1 > 1e-9;
         view.centre_density = centre;
@@ -143,7 +145,7 @@ impl<'a> GroundCamera<'a> {
     pub fn look(&self, point: GroundPoint) -> Option<GroundSample> {
         let (pixel, derivative) = self.project(point)?;
         let density = least_stretch(&derivative) / self.centre_density.0;
-        (density >= LEAST_DENSITY).then_some(GroundSample { x: pixel.x, y: pixel.y, density })
+        (density >= MIN_DENSITY).then_some(GroundSample { x: pixel.x, y: pixel.y, density })
     }
 
     /// The pixel of a ground point and its derivative by the point, pixels a metre.

@@ -27,7 +27,7 @@ use std::ops::Range;
 use tiles::{TILE, Tiles};
 
 /// Minimum share of the footprint that is new, or seen at least twice as well as before, for a
-/// frame to be used.
+/// frame to be used. Lower leaves smaller holes and blurs, higher renders fewer frames.
 const WANTED_NEW: f64 = 0.08;
 const WANTED_BETTER: f64 = 0.40;
 /// Ground pixels farther than this from the origin are not addressed.
@@ -188,8 +188,8 @@ impl Mosaic {
     }
 
     /// Whether a frame from this pose would show enough new ground, or show it better. Cheap (some
-    /// hundred points are looked up); ask it for every frame and add those it wants, and the last
-    /// frame of each stretch: no other shows the ground between it and the last one wanted.
+    /// hundred points are looked up), so it can be called for every frame. Also add the last frame
+    /// before each gap: no other shows the ground between it and the last wanted frame.
     pub fn wants(&mut self, camera: &Camera, pose: &GroundPose) -> bool {
         let footprint = Footprint::of(&mut self.footprint, camera);
         let Some(view) = GroundCamera::new(camera, pose) else {

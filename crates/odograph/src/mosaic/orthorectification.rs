@@ -10,9 +10,9 @@ use crate::image::simd::ground::{Feather, LANES, Places, orthorectify_eight};
 use crate::numerics::median;
 use std::ops::Range;
 
-/// Side of the blocks, in ground pixels, within which the way from the ground to the image is taken
-/// as bilinear. At a strong lens distortion (k1 = −0.3) the error is below 0.02 px. A row of a
-/// block is orthorectified at a time.
+/// Side of the blocks, in ground pixels, within which the mapping from the ground to the image is
+/// taken as bilinear. At a strong lens distortion (k1 = −0.3) the error is below 0.02 px. A row of
+/// a block is orthorectified at a time.
 pub(super) const BLOCK: i64 = LANES as i64;
 /// Share of the brightness difference to the existing ground that is compensated; below 1, so that
 /// small errors decay along the path instead of adding up.

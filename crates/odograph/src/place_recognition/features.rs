@@ -4,7 +4,9 @@
 use super::GroundFeature;
 use crate::image::simd::differing_bits;
 
-/// Maximum Hamming distance at which descriptors of one image count as similar.
+/// Maximum Hamming distance, of 256 bits, at which descriptors of one image count as similar. On
+/// asphalt, matches then keep two thirds of their weight; joints between tiles, which repeat,
+/// hardly any.
 const LOOKALIKE_DIFFERENCE: u32 = 40;
 
 /// A picture's features in spots, ordered by x.
@@ -36,7 +38,7 @@ struct FeatureCells {
 const CELL: f32 = 12.0;
 
 /// Maximum number of cells along a side, whatever the positions in a file are.
-const MOST_CELLS: f32 = 64.0;
+const MAX_CELLS: f32 = 64.0;
 
 impl Features {
     pub fn new(features: &[GroundFeature], spot_m: f64) -> Self {
@@ -45,7 +47,7 @@ impl Features {
             position_m: feature.position_m.map(|metres| metres * scale),
             ..*feature
         };
-        let mut features: Vec<_> = features.iter().take(super::MOST_FEATURES).map(in_spots).collect();
+        let mut features: Vec<_> = features.iter().take(super::MAX_FEATURES).map(in_spots).collect();
         features.sort_by(|a, b| {
             let by_place = |k: usize| a.position_m[k].total_cmp(&b.position_m[k]);
             by_place(0).then(by_place(1)).then(a.descriptor.cmp(&b.descriptor))
@@ -105,7 +107,7 @@ impl FeatureCells {
             return Self::default();
         }
         let sides = [high[0] - low[0], high[1] - low[1]];
-        let per_spot = 1.0 / CELL.max(sides[0].max(sides[1]) / MOST_CELLS);
+        let per_spot = 1.0 / CELL.max(sides[0].max(sides[1]) / MAX_CELLS);
         let [columns, rows] = sides.map(|side| (side * per_spot) as usize + 1);
         let mut cells = Self { columns, rows, per_spot, ..Self::default() };
         let cell_of = |position: &[f32; 2]| {

@@ -1,8 +1,8 @@
-//! The index: looks signatures up and returns hypotheses.
+//! The index: returns hypotheses of the places that signatures show.
 
 use super::features::Features;
 use super::lookup::{Buckets, FeatureNumber};
-use super::support::{MOST_DIFFERENCE, Match, Placing, best_pair, rival, support};
+use super::support::{FeatureMatch, MAX_DIFFERENCE, Placing, best_pair, rival, support};
 use super::{PlacesConfig, Signature};
 use crate::image::simd::differing_bits_of_pairs;
 use crate::keyframe::KeyframeId;
@@ -10,21 +10,26 @@ use nalgebra::Vector4;
 use std::cmp::Reverse;
 use std::collections::HashMap;
 
-/// Maximum number of descriptor comparisons per query; the emptiest buckets come first.
-const MOST_COMPARISONS: u32 = 12_000;
+/// Maximum number of descriptor comparisons per query; the emptiest buckets come first. Bounds the
+/// time of a query on repetitive ground, at the cost of recall there.
+const MAX_COMPARISONS: u32 = 12_000;
 
-/// Maximum number of keyframes verified per query.
-const MOST_CANDIDATES: usize = 16;
+/// Maximum number of keyframes verified per query: more find a place that others resemble, and each
+/// takes time.
+const MAX_CANDIDATES: usize = 16;
 
-/// With this number of votes for one keyframe, others with less than a fifth of them are not
-/// verified.
+/// Once one keyframe has this number of votes, others with less than a fifth of them are not
+/// verified: they show other ground, and verifying them takes time.
 const MANY_AGREEING: usize = 15;
+/// The factor: a keyframe needs one vote for this number of the best.
 const FEW_OF_MANY: usize = 5;
 
-/// Minimum number of matches of a hypothesis.
-const LEAST_MATCHES: usize = 5;
+/// Minimum number of matches of a hypothesis: unrelated ground has up to five by chance, so weaker
+/// hypotheses say nothing.
+const MIN_MATCHES: usize = 5;
 
-/// Minimum worth at which the test for ambiguity is made.
+/// Minimum worth at which the test for ambiguity, the slowest step, is made: a hypothesis below it
+/// is never certain.
 const WORTH_A_RIVAL: f32 = 3.0;
 
 /// Index of keyframes by the appearance of their ground.
@@ -69,7 +74,7 @@ pub struct PlaceHypothesis {
     pub rival_worth: f64,
     /// Root mean square distance between matched features, metres.
     pub residual_m: f64,
-    /// Score that orders hypotheses: the worth less that of the best other motion, in standard
+    /// Score that orders hypotheses: the worth minus that of the best other motion, in standard
     /// deviations.
     pub score: f64,
 }
@@ -78,10 +83,10 @@ impl PlaceHypothesis {
     /// Whether the place is certain: enough matches, a high inlier ratio, and far more support than
     /// any other motion.
     pub fn is_sure(&self) -> bool {
-        const LEAST_WORTH: f64 = 8.0;
-        const LEAST_SHARE: f64 = 0.15;
-        self.worth >= LEAST_WORTH
-            && self.matches as f64 >= LEAST_SHARE * self.shared as f64
+        const MIN_WORTH: f64 = 8.0;
+        const MIN_SHARE: f64 = 0.15;
+        self.worth >= MIN_WORTH
+            && self.matches as f64 >= MIN_SHARE * self.shared as f64
             && self.worth >= 2.0 * self.rival_worth
     }
 }
@@ -112,7 +117,7 @@ impl PlaceIndex {
     pub fn insert(&mut self, keyframe: KeyframeId, signature: &Signature) {
         self.remove(keyframe);
         let number = self.free.pop().unwrap_or(self.slots.len());
-        if number >= FeatureNumber::MOST_SLOTS {
+        if number >= FeatureNumber::MAX_SLOTS {
             return;
         }
         let features = Features::new(&signature.features, self.spot_m);
@@ -158,7 +163,7 @@ impl PlaceIndex {
             .filter_map(|(slot, placing)| {
                 let slot = &self.slots[slot];
                 let support = support(&query, &slot.features, placing)?;
-                Some((slot.keyframe?, slot, support)).filter(|_| support.matches >= LEAST_MATCHES)
+                Some((slot.keyframe?, slot, support)).filter(|_| support.matches >= MIN_MATCHES)
             })
             .collect();
         found.sort_by(|a, b| b.2.worth.total_cmp(&a.2.worth).then(a.0.cmp(&b.0)));
@@ -200,9 +205,9 @@ impl PlaceIndex {
         let paired = matches.chunk_by(|a, b| a.0.slot() == b.0.slot()).filter(|group| group.len() > 1);
         let fetched = |&(number, feature, bits): &(FeatureNumber, usize, u32)| {
             let there = &self.slots[number.slot()].features;
-            (number.slot(), Match::new((query, feature), (there, number.feature()), bits))
+            (number.slot(), FeatureMatch::new((query, feature), (there, number.feature()), bits))
         };
-        let mut matches: Vec<(usize, Match)> = paired.flatten().map(fetched).collect();
+        let mut matches: Vec<(usize, FeatureMatch)> = paired.flatten().map(fetched).collect();
         matches.sort_unstable_by_key(|(slot, m)| (*slot, m.difference, m.query, m.keyframe));
         let mut candidates = Vec::new();
         let mut group = Vec::new();
@@ -214,7 +219,7 @@ impl PlaceIndex {
             }
         }
         candidates.sort_by_key(|&(agreeing, slot, _)| (Reverse(agreeing), slot));
-        candidates.truncate(MOST_CANDIDATES);
+        candidates.truncate(MAX_CANDIDATES);
         // Hypotheses with far fewer votes than the best are not examined.
         let most = candidates.first().map_or(0, |&(agreeing, ..)| agreeing);
         if most >= MANY_AGREEING {
@@ -229,7 +234,7 @@ impl PlaceIndex {
         let mut addresses: Vec<_> =
             leads.flat_map(|(number, descriptor)| self.buckets.lead(number, descriptor)).collect();
         addresses.sort_unstable();
-        let mut left = MOST_COMPARISONS;
+        let mut left = MAX_COMPARISONS;
         let within = addresses.iter().take_while(|address| match left.checked_sub(address.features) {
             Some(rest) => {
                 left = rest;
@@ -248,7 +253,7 @@ impl PlaceIndex {
             found.iter().map(|found| [theirs(found), query.descriptors[found.1 as usize]]).collect();
         let mut differences = vec![0; pairs.len()];
         differing_bits_of_pairs(&pairs, &mut differences);
-        let alike = found.into_iter().zip(differences).filter(|(_, bits)| *bits <= MOST_DIFFERENCE);
+        let alike = found.into_iter().zip(differences).filter(|(_, bits)| *bits <= MAX_DIFFERENCE);
         alike.map(|((other, number), bits)| (other, number as usize, bits)).collect()
     }
 }

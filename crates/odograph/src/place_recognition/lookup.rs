@@ -12,7 +12,7 @@ const PIECE: usize = 7;
 /// Maximum Hamming distance of the 32-bit sketches of similar descriptors. It rejects nine in ten
 /// unrelated ones, and three in a hundred of those that differ in 60 of 256 bits, the most that
 /// counts as similar.
-const MOST_SKETCH_DIFFERENCE: u32 = 12;
+const MAX_SKETCH_DIFFERENCE: u32 = 12;
 
 /// No further piece.
 const NONE: u32 = u32::MAX;
@@ -25,7 +25,7 @@ impl FeatureNumber {
     /// Features of a slot are below 2⁹, slots below 2²³.
     pub const FEATURE_BITS: u32 = 9;
     /// Maximum number of slots.
-    pub const MOST_SLOTS: usize = 1 << (32 - Self::FEATURE_BITS);
+    pub const MAX_SLOTS: usize = 1 << (32 - Self::FEATURE_BITS);
 
     pub fn new(slot: usize, feature: usize) -> Self {
         Self((slot << Self::FEATURE_BITS | feature) as u32)
@@ -195,7 +195,7 @@ impl Buckets {
                     let piece = &self.pieces[piece as usize];
                     let own = sketches[number as usize];
                     let near =
-                        piece.sketches.map(|sketch| (sketch ^ own).count_ones() <= MOST_SKETCH_DIFFERENCE);
+                        piece.sketches.map(|sketch| (sketch ^ own).count_ones() <= MAX_SKETCH_DIFFERENCE);
                     for (&feature, _) in piece.features[..used].iter().zip(near).filter(|(_, near)| *near) {
                         alike.push((feature, number));
                     }

@@ -45,7 +45,7 @@ use crate::image::Pyramid;
 use serde::{Deserialize, Serialize};
 
 /// Maximum number of features of an image.
-pub const MOST_FEATURES: usize = 512;
+pub const MAX_FEATURES: usize = 512;
 
 /// The appearance of an image of the ground.
 #[derive(Debug, Clone, PartialEq, Default)]

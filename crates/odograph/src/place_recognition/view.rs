@@ -10,7 +10,7 @@ use crate::image::{GrayImage, Pyramid};
 const MESH: usize = 16;
 
 /// Maximum width and height of a view, spots: what a camera sees from twice the usual height.
-const MOST_SPOTS: usize = 640;
+const MAX_SPOTS: usize = 640;
 
 /// Maximum distance from the point below the camera, in heights: beyond it ground is seen too
 /// obliquely.
@@ -44,7 +44,7 @@ impl OrthoView {
         let pose = GroundPose { x_m: 0.0, y_m: 0.0, heading_rad: 0.0, ..*pose };
         let (low, high) = footprint(camera, &pose)?;
         let middle = (0.5 * (low.0 + high.0), 0.5 * (low.1 + high.1));
-        let spots = |low: f64, high: f64| (((high - low) / spot_m) as usize).min(MOST_SPOTS);
+        let spots = |low: f64, high: f64| (((high - low) / spot_m) as usize).min(MAX_SPOTS);
         let (width, height) = (spots(low.1, high.1), spots(low.0, high.0));
         if width < LEAST || height < LEAST {
             return None;

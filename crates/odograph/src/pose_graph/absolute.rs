@@ -80,7 +80,8 @@ pub(super) struct LinearizedPoint {
 const GATES_SQUARED: [f64; 2] = [18.4, 21.1];
 /// Prior standard deviation of ln scale: of a height measured with a tape.
 const SCALE_SIGMA: f64 = 0.03;
-/// Standard deviation of what is held.
+/// Standard deviation of an unknown that is held fixed: far below that of any measurement, and
+/// large enough for the normal equations to stay well conditioned.
 const HELD_SIGMA: f64 = 1e-9;
 
 impl WeightedPoint {

@@ -3,7 +3,7 @@
 use super::absolute::{LinearizedPoint, PlacementScale};
 use super::edge::{Linearized, Weighted};
 use super::normal_equations::{GraphNormalEquations, PlacementVariances};
-use super::pieces::{MOST_PIECES, Pieces};
+use super::pieces::{MAX_PIECES, Pieces};
 use super::{Heights, PoseGraph};
 use crate::geometry::pose_index::{HEADING, X, Y};
 use crate::geometry::{GroundPoint, PlaneTransform, Sim2};
@@ -17,7 +17,7 @@ const MOUNT_SHOWN: f64 = 25.0;
 
 /// Largest rotation of the mount, in standard deviations of its prior. A larger one occurs by
 /// chance in three of ten thousand mounts (two degrees of freedom).
-const MOST_TURN: f64 = 4.0;
+const MAX_TURN: f64 = 4.0;
 
 /// Standard deviation of the mount's rotation while fixed, rad/m: bends a kilometre by half a
 /// millimetre.
@@ -87,7 +87,7 @@ impl PoseGraph {
     /// rigid segments, then the keyframes around `loops`, the new edges, individually; both in at
     /// most `steps` steps. A small graph is optimised completely.
     pub fn relax(&mut self, loops: &[MapEdge], steps: usize) {
-        if self.nodes.len() <= MOST_PIECES {
+        if self.nodes.len() <= MAX_PIECES {
             self.optimize(steps);
             return;
         }
@@ -128,7 +128,7 @@ impl PoseGraph {
         };
         let (held, free) = (explained(HELD_TURN_SIGMA), explained(self.turn_sigma));
         let significant = |((held, _), (free, turn)): ((f64, f64), (f64, f64))| {
-            free - held > MOUNT_SHOWN && turn < MOST_TURN * self.turn_sigma
+            free - held > MOUNT_SHOWN && turn < MAX_TURN * self.turn_sigma
         };
         held.zip(free).is_some_and(significant)
     }
@@ -147,7 +147,7 @@ impl PoseGraph {
             loop {
                 let Some(change) = descent.equations.solve(damping) else {
                     damping = next_damping(damping);
-                    if damping > MOST_DAMPING {
+                    if damping > MAX_DAMPING {
                         return (taken, cost, false);
                     }
                     continue;
@@ -160,7 +160,7 @@ impl PoseGraph {
                     let gained = cost - found;
                     cost = found;
                     damping *= 0.1;
-                    if gained <= LEAST_GAIN * (1.0 + found) {
+                    if gained <= MIN_GAIN * (1.0 + found) {
                         return (taken + 1, cost, true);
                     }
                     break;
@@ -170,7 +170,7 @@ impl PoseGraph {
                     survey.placement = placement;
                 }
                 damping = next_damping(damping);
-                if damping > MOST_DAMPING {
+                if damping > MAX_DAMPING {
                     // No step reduces the cost: converged to rounding.
                     return (taken + 1, cost, true);
                 }
@@ -315,8 +315,8 @@ impl PoseGraph {
 
     /// Covariance of (x, y, heading, ln height) of every keyframe in order of insertion, relative
     /// to the first of its connected component or, where that was adopted, in the survey frame: the
-    /// inverse of the normal equations, scaled by the
-    /// reduced chi-square of the edges where that exceeds 1.
+    /// inverse of the normal equations, scaled by the reduced chi-square of the edges where that
+    /// exceeds 1.
     pub fn covariances(&self) -> Vec<Matrix4<f64>> {
         let none = || vec![Matrix4::zeros(); self.nodes.len()];
         let Some(mut descent) = self.descent(Pieces::single(self), true) else { return none() };
@@ -345,9 +345,12 @@ fn loss_of(kind: EdgeKind, scales: LossScales) -> Option<Loss> {
 }
 
 /// Convergence: a step that reduces the cost by a smaller share (of the cost plus 1) is the last.
-const LEAST_GAIN: f64 = 1e-7;
+/// Smaller takes more steps, which move keyframes by less than their standard deviations.
+const MIN_GAIN: f64 = 1e-7;
 
-const MOST_DAMPING: f64 = 1e6;
+/// Largest Levenberg–Marquardt damping, relative to the diagonal; the optimisation ends where even
+/// steps this short do not reduce the cost.
+const MAX_DAMPING: f64 = 1e6;
 
 fn next_damping(damping: f64) -> f64 {
     if damping < 1e-7 { 1e-6 } else { 10.0 * damping }

@@ -20,7 +20,7 @@ pub struct Weighted {
 
 /// Minimum standard deviations: a hundredth of a millimetre, a thousandth of a degree, a
 /// hundred-thousandth of the height.
-const LEAST_SIGMA: [f64; 4] = [1e-5, 1e-5, 2e-5, 1e-5];
+const MIN_SIGMA: [f64; 4] = [1e-5, 1e-5, 2e-5, 1e-5];
 
 impl Weighted {
     /// `None` if the covariance is not positive definite.
@@ -30,7 +30,7 @@ impl Weighted {
             covariance.row_mut(3).fill(0.0);
             covariance.column_mut(3).fill(0.0);
         }
-        for (i, sigma) in LEAST_SIGMA.into_iter().enumerate() {
+        for (i, sigma) in MIN_SIGMA.into_iter().enumerate() {
             covariance[(i, i)] += sigma * sigma;
         }
         if !edge.motion.iter().all(|value| value.is_finite()) {

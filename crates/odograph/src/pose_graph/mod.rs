@@ -7,7 +7,7 @@
 //! the rig holds the height, or the recording shows that it is constant, heights are fixed and
 //! three unknowns remain.
 //!
-//! Two things differ from the textbook:
+//! Three things differ from the textbook:
 //!
 //! * **A small uncalibrated mount tilt** rotates every motion by the same angle per metre: a roll
 //!   of ε at height h by about ε/2h. That is a systematic error that bends the whole path. So the
@@ -148,7 +148,7 @@ impl PoseGraph {
 
     /// Adds an edge. Returns `false`, without adding it, if a keyframe is missing or the covariance
     /// is not positive definite.
-    pub fn tie(&mut self, edge: &MapEdge) -> bool {
+    pub fn add_edge(&mut self, edge: &MapEdge) -> bool {
         let (Some(&from), Some(&to)) = (self.index.get(&edge.from), self.index.get(&edge.to)) else {
             return false;
         };

@@ -302,10 +302,10 @@ pub struct PlacementVariances {
     pub ln_scale: f64,
 }
 
-/// Where the logarithm of the placement's scale stands in the block of the mount.
+/// Index of the logarithm of the placement's scale in the block of the mount.
 const SCALE: usize = 2;
 
-/// Information of what is known.
+/// Information of a quantity that is known exactly: a standard deviation of 1e-9.
 const KNOWN: f64 = 1e18;
 
 /// The elimination order of the blocks.

@@ -8,7 +8,7 @@ impl PoseGraph {
     /// Moves a keyframe, and all that is connected to it by measurements, so that it is at `pose`;
     /// returns `false`, without moving anything, if `fixed` is among them. Parts of a map that a
     /// recognition connects so come near each other before they are optimised.
-    pub fn bring(&mut self, keyframe: KeyframeId, pose: &GroundPose, fixed: KeyframeId) -> bool {
+    pub fn move_component(&mut self, keyframe: KeyframeId, pose: &GroundPose, fixed: KeyframeId) -> bool {
         let (Some(&start), Some(&fixed)) = (self.index.get(&keyframe), self.index.get(&fixed)) else {
             return false;
         };

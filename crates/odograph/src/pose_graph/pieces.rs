@@ -17,14 +17,18 @@ use crate::keyframe::EdgeKind;
 use nalgebra::Matrix4x2;
 use std::collections::VecDeque;
 
-/// Number of keyframes around a loop that move individually.
+/// Number of keyframes around a loop that move individually: more spread its correction better and
+/// take longer.
 const NEAR: usize = 150;
 
-/// Approximate number of segments, besides one for every gap in the path.
+/// Approximate number of segments, besides one for every gap in the path. With 2500 keyframes on a
+/// grid, an optimisation of 300 segments takes 4 ms where two steps of the whole graph took 160 to
+/// 190, and ends 0.2 mm from the optimum.
 const STRETCHES: usize = 300;
 
-/// Up to this number of keyframes the whole graph is optimised.
-pub(super) const MOST_PIECES: usize = 300;
+/// Up to this number of keyframes the whole graph is optimised: it then takes no longer than
+/// segments do.
+pub(super) const MAX_PIECES: usize = 300;
 
 /// A graph divided into rigid pieces.
 pub(super) struct Pieces {

@@ -12,12 +12,12 @@ use nalgebra::Vector2;
 use std::f64::consts::PI;
 use std::fmt;
 
-/// What became of an absolute edge.
+/// Result of an absolute edge.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct AbsoluteUse {
     /// Whether it was used; otherwise it contradicts the others.
     pub used: bool,
-    /// The place less where the point is, metres in the survey frame.
+    /// Residual: surveyed minus estimated position, metres in the survey frame.
     pub off_m: Vector2<f64>,
 }
 
@@ -72,19 +72,25 @@ impl fmt::Display for Unplaceable {
 /// A scale is shown if it is this many variances from 1 (squared); noise does so in one of a
 /// million graphs.
 const SCALE_SHOWN: f64 = 25.0;
-/// Largest standard deviation of a direction that is called known: 10°.
+/// Largest standard deviation of the placement's heading, radians (10°): a placement that is less
+/// certain is refused.
 const HEADING_KNOWN_RAD: f64 = 10.0 * PI / 180.0;
-/// Most rounds of rejecting edges.
+/// Maximum number of rounds in which edges are rejected; they end when a round rejects none.
 const ROUNDS: usize = 10;
-/// Placements by pairs of edges that are compared, and the edges that judge them.
+/// Number of placements by pairs of edges that are compared, and of the edges that judge them: more
+/// find a placement among more outliers, and the time grows with the product.
 const SAMPLES: usize = 400;
 const JUDGES: usize = 400;
-/// Share of the distance from the middle by which the graph may be bent, for samples only.
+/// Drift of the graph that a sampled placement tolerates, as a share of the distance from the
+/// middle. Larger still finds the placement of a path that has drifted far, smaller rejects
+/// outliers better.
 const BEND_TOLERANCE: f64 = 0.02;
-/// Squared residual from which an edge counts as an outlier of a sample.
+/// Squared residual, in variances, from which an edge counts as an outlier of a sampled placement:
+/// four standard deviations.
 const SAMPLE_GATE_SQUARED: f64 = 16.0;
-/// Largest |ln scale| of a sample.
-const MOST_LN_SCALE: f64 = 0.2;
+/// Largest |ln scale| of a sampled placement: a scale of 0.82 to 1.22, wider than any error of a
+/// measured height.
+const MAX_LN_SCALE: f64 = 0.2;
 
 impl PoseGraph {
     /// Adds absolute edges and optimises keyframes and placement together, in rounds of at most
@@ -236,9 +242,9 @@ impl PoseGraph {
 
     /// The placement by a pair of edges, or by one with a direction, that most edges agree with.
     fn sampled_placement(&self, edges: &[AbsoluteEdge]) -> Option<Sim2> {
-        let known: Vec<Match> = edges
+        let known: Vec<SurveyedPoint> = edges
             .iter()
-            .filter_map(|edge| Match::new(&self.nodes[*self.index.get(&edge.keyframe)?], edge))
+            .filter_map(|edge| SurveyedPoint::new(&self.nodes[*self.index.get(&edge.keyframe)?], edge))
             .collect();
         let pairs = known.len() * known.len().saturating_sub(1) / 2;
         let mut random = Random::new(known.len() as u64);
@@ -249,7 +255,7 @@ impl PoseGraph {
             chosen.extend((0..SAMPLES).map(|_| (random.below(known.len()), random.below(known.len()))));
         }
         let by_pairs = chosen.into_iter().filter_map(|(a, b)| known[a].placement_with(&known[b]));
-        let by_directions = known.iter().take(SAMPLES).filter_map(Match::placement);
+        let by_directions = known.iter().take(SAMPLES).filter_map(SurveyedPoint::placement);
         let step = known.len().div_ceil(JUDGES).max(1);
         let cost = |placement: &Sim2| -> f64 {
             known.iter().step_by(step).map(|judge| judge.sample_cost(placement)).sum()
@@ -259,8 +265,8 @@ impl PoseGraph {
     }
 }
 
-/// A point of the graph and its place.
-struct Match {
+/// A point of the graph and its surveyed position.
+struct SurveyedPoint {
     point_m: Vector2<f64>,
     direction_rad: f64,
     place_m: Vector2<f64>,
@@ -268,7 +274,7 @@ struct Match {
     variance_m2: f64,
 }
 
-impl Match {
+impl SurveyedPoint {
     fn new(node: &Node, edge: &AbsoluteEdge) -> Option<Self> {
         let world_from_node = node.world_from_node();
         let point = world_from_node.apply(GroundPoint::new(edge.point_m.x, edge.point_m.y));
@@ -296,7 +302,7 @@ impl Match {
         let (in_graph, in_survey) = (other.point_m - self.point_m, other.place_m - self.place_m);
         let scale = in_survey.norm() / in_graph.norm();
         let heading_rad = in_survey.y.atan2(in_survey.x) - in_graph.y.atan2(in_graph.x);
-        (scale.is_finite() && scale > 0.0 && scale.ln().abs() < MOST_LN_SCALE)
+        (scale.is_finite() && scale > 0.0 && scale.ln().abs() < MAX_LN_SCALE)
             .then(|| self.through(heading_rad, scale))
     }
 

@@ -33,9 +33,9 @@ pub struct Reach<'a> {
     graph: &'a PoseGraph,
     root: usize,
     open: BinaryHeap<OpenPath>,
-    ways: Vec<GraphPath>,
+    paths: Vec<GraphPath>,
     /// For each reached keyframe, its path.
-    way_to: Vec<Option<u32>>,
+    path_to: Vec<Option<u32>>,
 }
 
 /// A path through the graph.
@@ -56,7 +56,7 @@ struct OpenPath {
     /// Variance of the position of its end, metres², with that of the heading at a lever arm.
     variance_m2: f64,
     node: usize,
-    way: u32,
+    path: u32,
 }
 
 impl PartialEq for OpenPath {
@@ -84,14 +84,14 @@ impl PoseGraph {
         let none = (Matrix4::zeros(), Matrix4x2::zeros());
         let start = GraphPath { node: root, noise: none.0, by_mount: none.1, edges: 0, across_gap: false };
         // Every edge is followed at most once.
-        let mut ways = Vec::with_capacity(self.edges.len() + 1);
-        ways.push(start);
+        let mut paths = Vec::with_capacity(self.edges.len() + 1);
+        paths.push(start);
         Some(Reach {
             graph: self,
             root,
-            open: BinaryHeap::from([OpenPath { variance_m2: 0.0, node: root, way: 0 }]),
-            ways,
-            way_to: vec![None; self.nodes.len()],
+            open: BinaryHeap::from([OpenPath { variance_m2: 0.0, node: root, path: 0 }]),
+            paths,
+            path_to: vec![None; self.nodes.len()],
         })
     }
 }
@@ -100,7 +100,7 @@ impl Reach<'_> {
     /// The relative pose of a keyframe; `None` if nothing connects it.
     pub fn to(&mut self, id: KeyframeId) -> Option<Reached> {
         let node = *self.graph.index.get(&id)?;
-        while self.way_to[node].is_none() {
+        while self.path_to[node].is_none() {
             self.further()?;
         }
         self.reached(node)
@@ -108,49 +108,49 @@ impl Reach<'_> {
 
     /// Reaches the next keyframe and returns its number; [`Reach::to`] has the rest.
     pub fn further(&mut self) -> Option<KeyframeId> {
-        let OpenPath { node, way, .. } = loop {
+        let OpenPath { node, path, .. } = loop {
             let open = self.open.pop()?;
-            if self.way_to[open.node].is_none() {
+            if self.path_to[open.node].is_none() {
                 break open;
             }
         };
-        self.way_to[node] = Some(way);
+        self.path_to[node] = Some(path);
         for &edge in &self.graph.edges_at[node] {
             let other = self.graph.edges[edge].other(node);
-            if self.way_to[other].is_none() {
-                let (further, variance_m2) = self.along(&self.ways[way as usize], edge);
-                self.open.push(OpenPath { variance_m2, node: other, way: self.ways.len() as u32 });
-                self.ways.push(further);
+            if self.path_to[other].is_none() {
+                let (further, variance_m2) = self.along(&self.paths[path as usize], edge);
+                self.open.push(OpenPath { variance_m2, node: other, path: self.paths.len() as u32 });
+                self.paths.push(further);
             }
         }
         Some(self.graph.nodes[node].id)
     }
 
     fn reached(&self, node: usize) -> Option<Reached> {
-        let way = &self.ways[self.way_to[node]? as usize];
+        let path = &self.paths[self.path_to[node]? as usize];
         let root = &self.graph.nodes[self.root];
-        let whole = way.noise + way.by_mount * way.by_mount.transpose() * self.graph.turn_sigma.powi(2);
+        let whole = path.noise + path.by_mount * path.by_mount.transpose() * self.graph.turn_sigma.powi(2);
         let id = self.graph.nodes[node].id;
         Some(Reached {
             id,
             motion: self.graph.seen(root.id, id)?,
             covariance: propagated(&root.world_from_node().between_by_to(), &whole),
-            edges: way.edges,
-            across_gap: way.across_gap,
+            edges: path.edges,
+            across_gap: path.across_gap,
         })
     }
 
     /// The path extended by an edge, and its uncertainty.
-    fn along(&self, way: &GraphPath, edge: usize) -> (GraphPath, f64) {
+    fn along(&self, path: &GraphPath, edge: usize) -> (GraphPath, f64) {
         let graph = self.graph;
         let edge = &graph.edges[edge];
-        let (here, there) = (&graph.nodes[way.node].pose, &graph.nodes[edge.other(way.node)].pose);
+        let (here, there) = (&graph.nodes[path.node].pose, &graph.nodes[edge.other(path.node)].pose);
         let from = &graph.nodes[edge.from];
         let by_motion = from.world_from_node().product_by_right();
         let own = propagated(&by_motion, &edge.covariance);
         let own_by_mount = by_motion * edge.by_mount();
-        let (mut noise, mut by_mount) = (way.noise, way.by_mount);
-        let back = edge.from != way.node;
+        let (mut noise, mut by_mount) = (path.noise, path.by_mount);
+        let back = edge.from != path.node;
         if back {
             // Followed backwards: the motion's error moves the near end, with the opposite sign.
             noise += own;
@@ -168,9 +168,9 @@ impl Reach<'_> {
         let variance = |i: usize| noise[(i, i)] + graph.turn_sigma.powi(2) * by_mount.row(i).norm_squared();
         // Position, and heading at a lever arm of the camera's height, about the size of the view.
         let variance_m2 = variance(X) + variance(Y) + variance(HEADING) * here.height_m.powi(2);
-        let across_gap = way.across_gap || edge.kind == EdgeKind::Gap;
-        let node = edge.other(way.node);
-        (GraphPath { node, noise, by_mount, edges: way.edges + 1, across_gap }, variance_m2)
+        let across_gap = path.across_gap || edge.kind == EdgeKind::Gap;
+        let node = edge.other(path.node);
+        (GraphPath { node, noise, by_mount, edges: path.edges + 1, across_gap }, variance_m2)
     }
 }
 

@@ -71,7 +71,7 @@ fn dead_reckoned(edges: &[MapEdge], truth: &[GroundPose], heights: Heights) -> P
             last = crate::keyframe::relative_pose::compose(&last, &edge.motion, last.height_m / from);
             graph.insert(edge.to, last, to);
         }
-        assert!(graph.tie(edge));
+        assert!(graph.add_edge(edge));
     }
     graph
 }
@@ -88,10 +88,10 @@ fn a_loop_closed_by_equal_links_shares_its_misclosure_equally() {
     graph.turn_sigma = 1e-9; // the mount is known
     (0..5).for_each(|i| graph.insert(KeyframeId(i), pose(i as f64, 0.0, 0.0), 1.0));
     for i in 0..4 {
-        assert!(graph.tie(&edge(i, i + 1, EdgeKind::Odometry, Vector4::new(1.0, 0.0, 0.0, 0.0), 0.1)));
+        assert!(graph.add_edge(&edge(i, i + 1, EdgeKind::Odometry, Vector4::new(1.0, 0.0, 0.0, 0.0), 0.1)));
     }
     let direct = Vector4::new(4.1, 0.0, 0.0, 0.0);
-    assert!(graph.tie(&edge(0, 4, EdgeKind::Odometry, direct, 0.1)));
+    assert!(graph.add_edge(&edge(0, 4, EdgeKind::Odometry, direct, 0.1)));
     let done = graph.optimize(20);
     assert!(done.converged && done.cost.1 < done.cost.0, "{done:?}");
     let last = graph.pose(KeyframeId(4)).unwrap();
@@ -177,8 +177,8 @@ fn the_best_path_is_never_more_certain_than_the_graph() {
     for one in &reached {
         let at = one.id.0 as usize;
         for i in 0..3 {
-            let (way, least) = (one.covariance[(i, i)], whole[at][(i, i)]);
-            assert!(way >= 0.99 * least, "keyframe {at}, number {i}: {way} against {least}");
+            let (path, least) = (one.covariance[(i, i)], whole[at][(i, i)]);
+            assert!(path >= 0.99 * least, "keyframe {at}, number {i}: {path} against {least}");
         }
     }
 }
@@ -188,9 +188,9 @@ fn unconnected_parts_do_not_move() {
     let mut graph = PoseGraph::new(Heights::Held, 1.0);
     (0..4).for_each(|i| graph.insert(KeyframeId(i), pose(10.0 * i as f64, 0.0, 0.0), 1.0));
     let motion = Vector4::new(1.0, 0.0, 0.0, 0.0);
-    assert!(graph.tie(&edge(0, 1, EdgeKind::Odometry, motion, 0.1)));
-    assert!(graph.tie(&edge(2, 3, EdgeKind::Odometry, motion, 0.1)));
-    assert!(!graph.tie(&edge(2, 9, EdgeKind::Odometry, motion, 0.1)), "there is no keyframe 9");
+    assert!(graph.add_edge(&edge(0, 1, EdgeKind::Odometry, motion, 0.1)));
+    assert!(graph.add_edge(&edge(2, 3, EdgeKind::Odometry, motion, 0.1)));
+    assert!(!graph.add_edge(&edge(2, 9, EdgeKind::Odometry, motion, 0.1)), "there is no keyframe 9");
     graph.optimize(20);
     let x = |i: u64| graph.pose(KeyframeId(i)).unwrap().x_m;
     for (i, expected) in [(0, 0.0), (1, 1.0), (2, 20.0), (3, 21.0)] {
@@ -210,7 +210,7 @@ fn a_large_graph_comes_near_its_best_by_pieces() {
             let from = graph.pose(edge.from).unwrap();
             graph.insert(edge.to, crate::keyframe::relative_pose::compose(&from, &edge.motion, 1.0), 1.0);
         }
-        assert!(graph.tie(edge));
+        assert!(graph.add_edge(edge));
         fresh.extend((edge.kind == EdgeKind::Loop).then_some(*edge));
         if fresh.len() == 10 {
             graph.relax(&std::mem::take(&mut fresh), 2);
@@ -240,7 +240,7 @@ fn a_large_graph_estimates_the_mount_turn_while_running() {
             let from = graph.pose(edge.from).unwrap();
             graph.insert(edge.to, crate::keyframe::relative_pose::compose(&from, &edge.motion, 1.0), 1.0);
         }
-        assert!(graph.tie(edge));
+        assert!(graph.add_edge(edge));
         // Asked for only when the graph is too large for being optimised as a whole.
         if edge.kind == EdgeKind::Loop && graph.len() > 330 {
             graph.relax(&[*edge], 2);

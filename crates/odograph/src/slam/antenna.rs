@@ -8,7 +8,7 @@ use crate::keyframe::KeyframeId;
 use crate::pose_graph::{AbsoluteEdge, Placed};
 use nalgebra::{Matrix2, Matrix3, Vector2};
 
-/// A position of the antenna as a keyframe has it, and as the receiver has it.
+/// A position of the antenna as measured by odometry, and by the receiver.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct AntennaFix {
     /// The keyframe of the run that the frame was measured against.
@@ -23,17 +23,18 @@ pub struct AntennaFix {
     pub place_covariance_m2: Matrix2<f64>,
 }
 
-/// What the positions changed of the map.
+/// Correction of the map by the positions of a receiver.
 #[derive(Debug, Clone, Copy, PartialEq)]
-pub struct Bent {
-    /// Length on Earth of a metre of the map as it was; the map now has the metres of the Earth.
+pub struct DriftCorrection {
+    /// Length on Earth of a metre of the map before the correction; it is 1 afterwards.
     pub scale: f64,
     /// Its standard deviation; 0 where the positions show none.
     pub scale_sigma: f64,
 }
 
-/// The positions show a drift if their residuals have this many times the stated variance, and the
-/// graph explains all but this share of it.
+/// The positions show a drift if the variance of their residuals is this multiple of the stated
+/// one, and the graph explains all but this share of it. Lower follows smaller drifts, and bends
+/// more paths to errors of the receiver.
 const DRIFT_SHOWN: f64 = 2.0;
 const UNEXPLAINED: f64 = 0.5;
 
@@ -44,7 +45,12 @@ impl Mapper {
     /// plane. `None`, and the map is as it was, if they show nothing, or if control points hold it.
     ///
     /// To be called once, after [`Mapper::finish`].
-    pub fn bend_to(&mut self, fixes: &[AntennaFix], start: &Sim2, spread: f64) -> Option<Bent> {
+    pub fn correct_drift(
+        &mut self,
+        fixes: &[AntennaFix],
+        start: &Sim2,
+        spread: f64,
+    ) -> Option<DriftCorrection> {
         let is_shown = spread > DRIFT_SHOWN || start.scale != 1.0;
         if self.is_surveyed || !is_shown {
             return None;
@@ -68,7 +74,7 @@ impl Mapper {
         self.graph.adopt_survey_scale();
         self.is_surveyed = true;
         self.take_over_graph();
-        Some(Bent { scale: placed.survey_from_graph.scale, scale_sigma: placed.scale_sigma })
+        Some(DriftCorrection { scale: placed.survey_from_graph.scale, scale_sigma: placed.scale_sigma })
     }
 
     fn absolute_edge(&self, fix: &AntennaFix) -> Option<AbsoluteEdge> {

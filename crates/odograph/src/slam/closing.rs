@@ -9,21 +9,23 @@ use crate::ground_map::KeyframeStore;
 use crate::keyframe::relative_pose::{compose, inverse, similarity};
 use crate::keyframe::{KeyframeId, MapEdge};
 use crate::loop_closure::candidates::{self, Strength};
-use crate::loop_closure::matching::{Pictured, Sought};
+use crate::loop_closure::matching::{QueryKeyframe, ReferenceKeyframe};
 use crate::loop_closure::recognition::{Recognised, recognise};
 use crate::loop_closure::{LoopClosure, verification};
 use nalgebra::{Matrix4, Vector4};
 
 /// Two matches confirm each other only on different ground: minimum distance, in widths of the
-/// view.
+/// view. Less lets one repeated pattern confirm itself, more waits longer for a confirmation.
 const APART_VIEWS: f64 = 0.3;
 
-/// Maximum number of unconfirmed matches; the oldest are dropped.
-const MOST_PENDING: usize = 16;
+/// Maximum number of unconfirmed matches, of which the oldest are dropped: fewer forget a match
+/// before it is confirmed, more give false ones more chances to agree.
+const MAX_PENDING: usize = 16;
 
 /// Maximum number of loop edges between two keyframes. All contain the noise of the same two
-/// images, so more add little, and the graph must not grow on repeated rounds.
-const MOST_SIGHTINGS: usize = 4;
+/// images, so more add little, and the graph must not grow on repeated rounds: over twenty rounds
+/// of the bundled drive, 121 loops leave 1.01 mm RMS and 574 leave 1.00.
+const MAX_SIGHTINGS: usize = 4;
 
 impl Mapper {
     /// Compares a new keyframe with older ones: those nearby, and where the position is uncertain,
@@ -31,7 +33,7 @@ impl Mapper {
     pub(super) fn close_loops(
         &mut self,
         new: KeyframeId,
-        mut sought: Sought,
+        mut query: QueryKeyframe,
         images: &mut dyn KeyframeStore,
     ) -> Result<()> {
         // Both searches use the same shortest paths.
@@ -43,9 +45,9 @@ impl Mapper {
         };
         let sure = near.iter().filter(|candidate| candidate.prior.strength == Strength::Sure);
         for candidate in sure.take(self.config.comparisons) {
-            let Some(mut pictured) = self.pictured(candidate.id, images)? else { continue };
+            let Some(mut reference) = self.reference(candidate.id, images)? else { continue };
             let closure =
-                verification::look(&self.matcher, &mut sought, &mut pictured, candidate, new, &self.config);
+                verification::verify(&self.matcher, &mut query, &mut reference, candidate, new, &self.config);
             if let Some(closure) = closure {
                 return self.accept(closure, images);
             }
@@ -68,9 +70,9 @@ impl Mapper {
         };
         self.compare_scales(new, &recognised);
         for place in recognised.iter().take(self.config.comparisons) {
-            let Some(pictured) = self.pictured(place.id, images)? else { continue };
+            let Some(reference) = self.reference(place.id, images)? else { continue };
             let closure =
-                verification::look_recognised(&self.matcher, &sought, &pictured, place, new, &self.config);
+                verification::verify_recognised(&self.matcher, &query, &reference, place, new, &self.config);
             match closure {
                 Some(closure) if place.stands_alone() => return self.accept(closure, images),
                 Some(closure) => return self.support(closure, images),
@@ -80,12 +82,12 @@ impl Mapper {
         // Registering whole images takes longest: only if the position is nearly known and
         // appearance found nothing.
         let uncertain = near.iter().find(|candidate| candidate.prior.strength == Strength::Uncertain);
-        if let Some(candidate) = uncertain.filter(|_| self.patience.is_worth_it())
-            && let Some(mut pictured) = self.pictured(candidate.id, images)?
+        if let Some(candidate) = uncertain.filter(|_| self.backoff.is_due())
+            && let Some(mut reference) = self.reference(candidate.id, images)?
         {
             let closure =
-                verification::look(&self.matcher, &mut sought, &mut pictured, candidate, new, &self.config);
-            self.patience.learn(closure.is_some());
+                verification::verify(&self.matcher, &mut query, &mut reference, candidate, new, &self.config);
+            self.backoff.record(closure.is_some());
             if let Some(closure) = closure {
                 self.accept(closure, images)?;
             }
@@ -93,7 +95,7 @@ impl Mapper {
         Ok(())
     }
 
-    /// Remembers how the metres of different robots compare where they recognised the same ground.
+    /// Records the ratio of the scales of two robots that recognised the same ground.
     fn compare_scales(&mut self, new: KeyframeId, recognised: &[Recognised]) {
         if self.compared != ComparedKeyframes::OtherSessions {
             return;
@@ -103,9 +105,9 @@ impl Mapper {
         self.scales.extend(scales.filter(|(.., ln_scale)| *ln_scale != 0.0));
     }
 
-    fn pictured(&self, id: KeyframeId, images: &mut dyn KeyframeStore) -> Result<Option<Pictured>> {
+    fn reference(&self, id: KeyframeId, images: &mut dyn KeyframeStore) -> Result<Option<ReferenceKeyframe>> {
         let Some(at) = self.seen_from(id) else { return Ok(None) };
-        Ok(Some(self.matcher.pictured(images.load(id)?.gray, &at)))
+        Ok(Some(self.matcher.reference(images.load(id)?.gray, &at)))
     }
 
     /// Accepts a match together with an earlier one that confirms it; otherwise keeps it as
@@ -122,7 +124,7 @@ impl Mapper {
             return self.accept(closure, images);
         }
         self.pending.push(closure);
-        if self.pending.len() > MOST_PENDING {
+        if self.pending.len() > MAX_PENDING {
             self.pending.remove(0);
         }
         Ok(())
@@ -144,12 +146,13 @@ impl Mapper {
             let transform = similarity(motion, self.measured_m(from, to)?);
             Some(WithCovariance { transform, covariance })
         };
-        let way = |from: KeyframeId, to: KeyframeId| {
+        let path = |from: KeyframeId, to: KeyframeId| {
             let reached = self.graph.reach(from)?.to(to).filter(|reached| !reached.across_gap)?;
             known(from, to, &reached.motion, reached.covariance)
         };
         let sighting = known(a.from, a.to, &a.motion, a.covariance);
-        let (Some(back), Some(sighting), Some(on)) = (way(b.from, a.from), sighting, way(a.to, b.to)) else {
+        let (Some(back), Some(sighting), Some(on)) = (path(b.from, a.from), sighting, path(a.to, b.to))
+        else {
             return false;
         };
         verification::agrees(b, &(back * sighting * on), view_m)
@@ -167,7 +170,7 @@ impl Mapper {
         {
             // A part of the map that is not connected yet is moved to where it was seen.
             let seen = compose(&old, &inverse(&edge.motion, measured_m), old.height_m / measured_m[1]);
-            self.graph.bring(edge.from, &seen, edge.to);
+            self.graph.move_component(edge.from, &seen, edge.to);
         }
         self.closures.push(closure);
         self.add(edge, images)
@@ -175,12 +178,12 @@ impl Mapper {
 
     /// Adds an edge between two keyframes, unless they have enough already.
     pub(super) fn add(&mut self, edge: MapEdge, images: &mut dyn KeyframeStore) -> Result<()> {
-        let often = self.graph.loops_between(edge.from, edge.to) >= MOST_SIGHTINGS;
-        if often || !self.graph.tie(&edge) {
+        let often = self.graph.loops_between(edge.from, edge.to) >= MAX_SIGHTINGS;
+        if often || !self.graph.add_edge(&edge) {
             return Ok(());
         }
         self.map.edges.push(edge);
         self.unsettled += 1;
-        images.tie(&edge)
+        images.add_edge(&edge)
     }
 }

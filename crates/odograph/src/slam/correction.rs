@@ -20,28 +20,28 @@ pub fn map_frames(
     frames: &[FrameEstimate],
     references: &[Option<FrameReference>],
 ) -> Vec<FrameEstimate> {
-    let mut stretches = Stretches::default();
+    let mut spans = KeyframeSpans::default();
     for (frame, reference) in frames.iter().zip(references) {
-        stretches.push(frame, reference.as_ref());
+        spans.push(frame, reference.as_ref());
     }
-    let mut straightening = stretches.straightening(mapper);
-    frames.iter().map(|frame| straightening.next(frame.clone())).collect()
+    let mut correction = spans.correction(mapper);
+    frames.iter().map(|frame| correction.next(frame.clone())).collect()
 }
 
 /// The frames of a recording grouped by the keyframe they were measured against, without losses
 /// between them. The end of a group must be known before its frames are corrected; for frames that
-/// are not in memory at once, this makes two passes: here and in [`Straightening`].
+/// are not in memory at once, this makes two passes: here and in [`MapFrameCorrection`].
 #[derive(Debug, Default)]
-pub struct Stretches {
+pub struct KeyframeSpans {
     /// In order; frames without a reference are in none.
-    stretches: Vec<Stretch>,
+    spans: Vec<KeyframeSpan>,
     /// Whether the next frame may belong to the last one.
     open: bool,
     frames: usize,
 }
 
 #[derive(Debug)]
-struct Stretch {
+struct KeyframeSpan {
     first: usize,
     count: usize,
     keyframe: KeyframeId,
@@ -49,7 +49,7 @@ struct Stretch {
     end: Option<(KeyframeId, GroundPose, GroundPose)>,
 }
 
-impl Stretches {
+impl KeyframeSpans {
     /// Adds the next frame, in the odometry frame, and its reference.
     pub fn push(&mut self, frame: &FrameEstimate, reference: Option<&FrameReference>) {
         let index = self.frames;
@@ -59,28 +59,28 @@ impl Stretches {
             return;
         };
         let end = next.zip(frame.estimate.as_ref()).map(|((id, pose), known)| (id, pose, measured(known)));
-        match self.stretches.last_mut().filter(|stretch| self.open && stretch.keyframe == keyframe) {
-            Some(stretch) => {
-                stretch.count += 1;
-                stretch.end = end;
+        match self.spans.last_mut().filter(|span| self.open && span.keyframe == keyframe) {
+            Some(span) => {
+                span.count += 1;
+                span.end = end;
             }
-            None => self.stretches.push(Stretch { first: index, count: 1, keyframe, end }),
+            None => self.spans.push(KeyframeSpan { first: index, count: 1, keyframe, end }),
         }
         self.open = next.is_none();
     }
 
     /// The second pass over the same frames.
-    pub fn straightening<'a>(&'a self, mapper: &'a Mapper) -> Straightening<'a> {
-        Straightening { mapper, rest: &self.stretches, index: 0, group: None }
+    pub fn correction<'a>(&'a self, mapper: &'a Mapper) -> MapFrameCorrection<'a> {
+        MapFrameCorrection { mapper, rest: &self.spans, index: 0, group: None }
     }
 }
 
 /// Transforms frames into the map frame, one after the other.
 #[derive(Debug)]
-pub struct Straightening<'a> {
+pub struct MapFrameCorrection<'a> {
     mapper: &'a Mapper,
     /// The groups from the next frame on.
-    rest: &'a [Stretch],
+    rest: &'a [KeyframeSpan],
     index: usize,
     /// The correction of the first of them; `None` until it is needed.
     group: Option<GroupCorrection<'a>>,
@@ -94,23 +94,22 @@ struct GroupCorrection<'a> {
     end: Option<Sim2>,
 }
 
-impl<'a> Straightening<'a> {
+impl<'a> MapFrameCorrection<'a> {
     /// The next frame in the map frame.
     pub fn next(&mut self, mut frame: FrameEstimate) -> FrameEstimate {
         let index = self.index;
         self.index += 1;
-        let Some(stretch) =
-            self.rest.first().filter(|stretch| stretch.first <= index && self.mapper.is_straightened())
+        let Some(span) = self.rest.first().filter(|span| span.first <= index && self.mapper.is_corrected())
         else {
             return frame;
         };
-        let group = *self.group.get_or_insert_with(|| GroupCorrection::new(self.mapper, stretch));
+        let group = *self.group.get_or_insert_with(|| GroupCorrection::new(self.mapper, span));
         if let (Some(known), Some(here)) = (&mut frame.estimate, group.here) {
             // The last frame of a group is where the next keyframe has it.
-            let share = (index - stretch.first + 1) as f64 / stretch.count as f64;
+            let share = (index - span.first + 1) as f64 / span.count as f64;
             corrected(known, &here.map_from_odometry(), group.end.as_ref().map(|end| (end, share)), here);
         }
-        if index + 1 == stretch.first + stretch.count {
+        if index + 1 == span.first + span.count {
             (self.rest, self.group) = (&self.rest[1..], None);
         }
         frame
@@ -118,9 +117,9 @@ impl<'a> Straightening<'a> {
 }
 
 impl<'a> GroupCorrection<'a> {
-    fn new(mapper: &'a Mapper, stretch: &Stretch) -> Self {
-        let here = mapper.of_run(stretch.keyframe);
-        let end = stretch.end.and_then(|(next, in_next, measured)| {
+    fn new(mapper: &'a Mapper, span: &KeyframeSpan) -> Self {
+        let here = mapper.of_run(span.keyframe);
+        let end = span.end.and_then(|(next, in_next, measured)| {
             let to = mapper.of_run(next)?.map_from_odometry().apply_to_pose(&in_next);
             Some(measured.similarity_to(&to))
         });

@@ -15,10 +15,11 @@ use crate::odometry::{NewKeyframe, OdometryConfig};
 use nalgebra::Matrix3;
 use std::collections::{BTreeMap, BTreeSet};
 
-/// Number of recognised places from which the scales of two robots are compared.
-const LEAST_PLACES: usize = 5;
-/// Most recognised places that are kept for each session.
-const MOST_PLACES: usize = 256;
+/// Number of recognised places from which the scales of two robots are compared: more make the
+/// median safer, fewer report a wrong height sooner.
+const MIN_PLACES: usize = 5;
+/// Number of recognised places kept for each session, the newest: bounds memory.
+const MAX_PLACES: usize = 256;
 /// Standard deviation over the median absolute deviation, for the normal distribution.
 const DEVIATION_OF_MEDIAN: f64 = 1.4826;
 /// Standard deviation of the median over that of the mean, for the normal distribution.
@@ -36,11 +37,11 @@ pub struct OdometryPlacement {
     pub keyframe: KeyframeId,
 }
 
-/// How the metres of a session compare with those of the sessions that were there before it.
+/// Scale of a session relative to the sessions before it.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct SessionScale {
-    /// Metres of the map over metres of the session: the true height of its camera over the one it
-    /// was told, where the map is right.
+    /// Metres of the map over metres of the session: the true height of its camera over its given
+    /// height, if the map is right.
     pub ratio: f64,
     /// Standard deviation of the ratio.
     pub deviation: f64,
@@ -59,7 +60,7 @@ pub struct FleetMapper {
 }
 
 impl FleetMapper {
-    /// A mapper that goes on with a map, which may be empty. Images of its keyframes must be in the
+    /// Continues a map, which may be empty. Images of its keyframes must be in the
     /// store that is given with new ones.
     pub fn new(map: GroundMap, odometry: &OdometryConfig) -> Self {
         let config = LoopClosureConfig::default();
@@ -69,7 +70,7 @@ impl FleetMapper {
         Self { mapper, odometry: *odometry, scales: BTreeMap::new() }
     }
 
-    /// Tells of a session with its camera, before its first keyframe.
+    /// Registers a session with its camera, before its first keyframe.
     pub fn begin_session(&mut self, session: u32, mounted: &MountedCamera) {
         let map = &mut self.mapper.map;
         if mounted.camera != map.camera || mounted.rig != map.rig {
@@ -92,12 +93,12 @@ impl FleetMapper {
     ) -> Result<()> {
         // The pose of a new keyframe follows from its first edge: that of odometry.
         let own = edges.iter().filter(|edge| edge.from == new.id || edge.to == new.id);
-        let (ties, others): (Vec<MapEdge>, Vec<MapEdge>) = {
-            let mut ties: Vec<MapEdge> = own.copied().collect();
-            ties.sort_by_key(|edge| edge.kind == EdgeKind::Loop);
-            (ties, edges.iter().filter(|edge| edge.from != new.id && edge.to != new.id).copied().collect())
+        let (own, others): (Vec<MapEdge>, Vec<MapEdge>) = {
+            let mut own: Vec<MapEdge> = own.copied().collect();
+            own.sort_by_key(|edge| edge.kind == EdgeKind::Loop);
+            (own, edges.iter().filter(|edge| edge.from != new.id && edge.to != new.id).copied().collect())
         };
-        self.mapper.made(new, session, &ties, color, images)?;
+        self.mapper.made(new, session, &own, color, images)?;
         self.add_edges(&others, images)?;
         self.take_scales();
         self.mapper.settle_where_due();
@@ -169,20 +170,19 @@ impl FleetMapper {
         finite.then_some(OdometryPlacement { map_from_odometry, covariance, keyframe: last.id })
     }
 
-    /// How the metres of a session compare with those of earlier sessions; `None` where it has
-    /// recognised too few of their places.
+    /// Scale of a session relative to earlier ones; `None` if it has recognised too few of their
+    /// places.
     pub fn scale(&self, session: u32) -> Option<SessionScale> {
         let mut logarithms = self.scales.get(&session)?.clone();
         let places = logarithms.len();
-        let middle = median(&mut logarithms).filter(|_| places >= LEAST_PLACES)?;
+        let middle = median(&mut logarithms).filter(|_| places >= MIN_PLACES)?;
         let mut off: Vec<f64> = logarithms.iter().map(|value| (value - middle).abs()).collect();
         let spread = DEVIATION_OF_MEDIAN * median(&mut off)?;
         let deviation = MEDIAN_OVER_MEAN * spread / (places as f64).sqrt();
         Some(SessionScale { ratio: middle.exp(), deviation: middle.exp() * deviation, places })
     }
 
-    /// Attributes what was found about scales to the later one of two sessions: the map is right
-    /// until it is shown to be wrong.
+    /// Attributes ratios of scales to the later of two sessions: the map is taken to be right.
     fn take_scales(&mut self) {
         for (new, old, ln_scale) in std::mem::take(&mut self.mapper.scales) {
             let session = |id| self.mapper.keyframe(id).map(|keyframe| keyframe.session);
@@ -190,7 +190,7 @@ impl FleetMapper {
             let of_later = if new > old { -ln_scale } else { ln_scale };
             let known = self.scales.entry(new.max(old)).or_default();
             known.push(of_later);
-            if known.len() > MOST_PLACES {
+            if known.len() > MAX_PLACES {
                 known.remove(0);
             }
         }

@@ -16,7 +16,7 @@ impl Mapper {
     /// fusion. Keyframes move with the frames measured against them; odometry and gap edges are
     /// recomputed; loop edges keep what was measured, in the new scale. The references are
     /// transformed too. To be called once, before [`Mapper::finish`].
-    pub fn take_over(
+    pub fn apply_fusion(
         &mut self,
         raw: &[FrameEstimate],
         fused: &[FrameEstimate],

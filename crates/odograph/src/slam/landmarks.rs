@@ -55,30 +55,36 @@ pub struct Surveyed {
     uses: BTreeMap<usize, AbsoluteUse>,
 }
 
-/// Keyframes since the last sighting of a marker after which it counts as come back to.
+/// Number of keyframes without a marker after which the next sighting is a new visit.
 const AWAY: u64 = 8;
-/// Squared residual of a tie, three normal numbers, that one in a thousand exceeds.
+/// Gate of the squared residual of an edge between sightings: one in a thousand true ones exceeds
+/// it (chi-square, three degrees of freedom).
 const GATE_SQUARED: f64 = 16.3;
-/// Factor of the standard deviations of the path between two sightings, and what it may be off
-/// besides, metres and radians: only another place is to fail, not a drift.
+/// A path between two sightings is tested with this multiple of its standard deviations plus a
+/// constant, metres and radians: the test is to reject another marker of the same number, not a
+/// drift of the path.
 const PATH_FACTOR: f64 = 3.0;
 const PATH_OFF: (f64, f64) = (0.02, 0.02);
 
 impl Mapper {
-    /// Ties the keyframe of the run that was taken last to those that have shown the same markers.
+    /// Adds edges from the newest keyframe of the run to those that have shown the same markers.
     /// Fails if an edge cannot be stored.
-    pub fn see(&mut self, sightings: &[MarkerSighting], images: &mut dyn KeyframeStore) -> Result<()> {
+    pub fn add_sightings(
+        &mut self,
+        sightings: &[MarkerSighting],
+        images: &mut dyn KeyframeStore,
+    ) -> Result<()> {
         for sighting in sightings {
             let keyframe = KeyframeId(self.first_keyframe().0 + sighting.keyframe.0);
             if self.keyframe(keyframe).is_some() {
-                self.see_one(MarkerSighting { keyframe, ..*sighting }, images)?;
+                self.add_sighting(MarkerSighting { keyframe, ..*sighting }, images)?;
             }
         }
         self.settle_where_due();
         Ok(())
     }
 
-    fn see_one(&mut self, sighting: MarkerSighting, images: &mut dyn KeyframeStore) -> Result<()> {
+    fn add_sighting(&mut self, sighting: MarkerSighting, images: &mut dyn KeyframeStore) -> Result<()> {
         let same = |at: &&PlacedSighting| at.sighting.number == sighting.number;
         let known = self.landmarks.sightings.iter().filter(same);
         let places = known.clone().map(|at| at.place + 1).max().unwrap_or(0);
@@ -91,57 +97,60 @@ impl Mapper {
             let visit = last.visit + usize::from(returns);
             let of_visit = of_place.iter().filter(|at| at.visit == visit).count();
             let to = if visit == 0 { *last } else { of_place[of_visit % first_visit.max(1)] };
-            let Some(tie) = self.marker_tie(&to.sighting, &sighting) else { continue };
-            if !self.may_be(&tie) {
+            let Some(edge) = self.marker_edge(&to.sighting, &sighting) else { continue };
+            if !self.is_consistent(&edge) {
                 continue;
             }
             let placement = PlacedSighting { sighting, place, visit };
             self.landmarks.sightings.push(placement);
-            // What neighbours share is known better from the ground around it.
-            return if visit == 0 { Ok(()) } else { self.close(tie, images) };
+            // The ground around a marker relates neighbouring keyframes more accurately.
+            return if visit == 0 { Ok(()) } else { self.close_loop(edge, images) };
         }
         self.landmarks.sightings.push(PlacedSighting { sighting, place: places, visit: 0 });
         Ok(())
     }
 
-    fn marker_tie(&self, from: &MarkerSighting, to: &MarkerSighting) -> Option<MapEdge> {
+    fn marker_edge(&self, from: &MarkerSighting, to: &MarkerSighting) -> Option<MapEdge> {
         let heights_m = self.measured_m(from.keyframe, to.keyframe)?;
-        Some(from.tie(to, heights_m, self.heights() == Heights::Held))
+        Some(from.edge_to(to, heights_m, self.heights() == Heights::Held))
     }
 
-    /// Whether the path allows a tie: whether the marker can be the same.
-    fn may_be(&self, tie: &MapEdge) -> bool {
-        let reached = self.graph.reach(tie.from).and_then(|mut reach| reach.to(tie.to));
+    /// Whether an edge is consistent with the path between its keyframes: whether the marker can be
+    /// the same.
+    fn is_consistent(&self, edge: &MapEdge) -> bool {
+        let reached = self.graph.reach(edge.from).and_then(|mut reach| reach.to(edge.to));
         let Some(reached) = reached.filter(|reached| !reached.across_gap) else { return true };
-        let off = (tie.motion - reached.motion).xyz();
+        let off = (edge.motion - reached.motion).xyz();
         let off = Vector3::new(off.x, off.y, wrap_angle(off.z));
         let path = reached.covariance.fixed_view::<3, 3>(0, 0).into_owned() * PATH_FACTOR.powi(2);
         let (off_m, off_rad) = PATH_OFF;
         let besides = Matrix3::from_diagonal(&Vector3::new(off_m * off_m, off_m * off_m, off_rad * off_rad));
-        let covariance = path + besides + tie.covariance.fixed_view::<3, 3>(0, 0);
+        let covariance = path + besides + edge.covariance.fixed_view::<3, 3>(0, 0);
         covariance.try_inverse().is_some_and(|information| off.dot(&(information * off)) <= GATE_SQUARED)
     }
 
-    /// Adds a tie; a part of the map that nothing measured connects yet comes to where it was seen.
-    fn close(&mut self, tie: MapEdge, images: &mut dyn KeyframeStore) -> Result<()> {
-        if let (Some(from), Some(measured_m)) = (self.graph.pose(tie.from), self.measured_m(tie.from, tie.to))
+    /// Adds an edge. A part of the map that no measurement connects yet is moved to where the
+    /// marker puts it.
+    fn close_loop(&mut self, edge: MapEdge, images: &mut dyn KeyframeStore) -> Result<()> {
+        if let (Some(from), Some(measured_m)) =
+            (self.graph.pose(edge.from), self.measured_m(edge.from, edge.to))
         {
-            let seen = compose(&from, &tie.motion, from.height_m / measured_m[0]);
-            if !self.graph.bring(tie.to, &seen, tie.from)
-                && let Some(to) = self.graph.pose(tie.to)
+            let seen = compose(&from, &edge.motion, from.height_m / measured_m[0]);
+            if !self.graph.move_component(edge.to, &seen, edge.from)
+                && let Some(to) = self.graph.pose(edge.to)
             {
-                let back = inverse(&tie.motion, measured_m);
+                let back = inverse(&edge.motion, measured_m);
                 let seen = compose(&to, &back, to.height_m / measured_m[1]);
-                self.graph.bring(tie.from, &seen, tie.to);
+                self.graph.move_component(edge.from, &seen, edge.to);
             }
         }
-        self.landmarks.ties += 1;
-        self.add(tie, images)
+        self.landmarks.edges += 1;
+        self.add(edge, images)
     }
 
-    /// Number of edges that markers made.
-    pub fn marker_ties(&self) -> usize {
-        self.landmarks.ties
+    /// Number of edges between sightings of markers.
+    pub fn marker_edges(&self) -> usize {
+        self.landmarks.edges
     }
 
     /// Number of sightings of markers.
@@ -149,7 +158,7 @@ impl Mapper {
         self.landmarks.sightings.len()
     }
 
-    /// Metres of the keyframes have become longer by these factors.
+    /// Rescales the sightings after the metres of their keyframes have changed by these factors.
     pub(super) fn rescale_sightings(&mut self, factor: impl Fn(KeyframeId) -> f64) {
         for at in &mut self.landmarks.sightings {
             at.sighting = at.sighting.rescaled(factor(at.sighting.keyframe));

@@ -30,13 +30,13 @@ pub struct Located {
 
 impl Mapper {
     /// Localizes an image of the map's camera, at any position and heading; only height, roll and
-    /// pitch of `leaning` are used. `None` if no place is recognised unambiguously.
+    /// pitch of `tilt` are used. `None` if no place is recognised unambiguously.
     ///
     /// Fails if the image size is not the camera's, or a keyframe's image cannot be loaded.
     pub fn locate(
         &self,
         image: GrayImage,
-        leaning: &GroundPose,
+        tilt: &GroundPose,
         images: &mut dyn KeyframeImages,
     ) -> Result<Option<Located>> {
         let camera = &self.map.camera;
@@ -49,9 +49,9 @@ impl Mapper {
                 camera.height()
             )));
         }
-        let at = CameraPose { camera: CameraIndex::default(), pose: *leaning };
-        let sought = self.matcher.sought(image, &at);
-        let signature = self.matcher.signature(&sought, &self.places_config);
+        let at = CameraPose { camera: CameraIndex::default(), pose: *tilt };
+        let query = self.matcher.query(image, &at);
+        let signature = self.matcher.signature(&query, &self.places_config);
         // No keyframe has this number: nothing connects the image to the map.
         let new = KeyframeId(u64::MAX);
         let here = (new, &at);
@@ -68,15 +68,15 @@ impl Mapper {
         for place in found.iter().take(self.config.comparisons) {
             let Some(known) = self.keyframe(place.id) else { continue };
             let Some(there) = self.seen_from(place.id) else { continue };
-            let pictured = self.matcher.pictured(images.load(place.id)?.gray, &there);
+            let reference = self.matcher.reference(images.load(place.id)?.gray, &there);
             let seen =
-                verification::look_recognised(&self.matcher, &sought, &pictured, place, new, &self.config);
+                verification::verify_recognised(&self.matcher, &query, &reference, place, new, &self.config);
             if let Some(seen) = seen {
                 let scale = known.pose.height_m / known.odometry_pose.height_m;
-                let measured_m = [leaning.height_m, known.odometry_pose.height_m];
+                let measured_m = [tilt.height_m, known.odometry_pose.height_m];
                 let placed = compose(&known.pose, &inverse(&seen.edge.motion, measured_m), scale);
                 return Ok(Some(Located {
-                    pose: GroundPose { roll_rad: leaning.roll_rad, pitch_rad: leaning.pitch_rad, ..placed },
+                    pose: GroundPose { roll_rad: tilt.roll_rad, pitch_rad: tilt.pitch_rad, ..placed },
                     keyframe: place.id,
                     covariance: seen.edge.covariance,
                     inliers: seen.inliers,

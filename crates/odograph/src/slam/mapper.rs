@@ -1,6 +1,6 @@
 //! The mapper inserts keyframes into the map, closes loops and optimises the pose graph.
 
-use super::backoff::Patience;
+use super::backoff::Backoff;
 use crate::camera::{Camera, Rig};
 use crate::error::Result;
 use crate::geometry::pose_index::{HEIGHT, ROLL};
@@ -33,11 +33,11 @@ pub struct Mapper {
     pub(super) closures: Vec<LoopClosure>,
     /// Matches that wait for a second one to confirm them.
     pub(super) pending: Vec<LoopClosure>,
-    /// What places look like, compared with the older keyframe, when sessions of several robots are
-    /// mapped: new keyframe, older keyframe, logarithm of the ratio of the metres.
+    /// Ratios of scales where sessions of several robots recognised the same ground: new keyframe,
+    /// older keyframe, logarithm of the ratio of their metres.
     pub(super) scales: Vec<(KeyframeId, KeyframeId, f64)>,
     /// For registrations of whole images.
-    pub(super) patience: Patience,
+    pub(super) backoff: Backoff,
     /// Loop closures since the last optimisation.
     pub(super) unsettled: usize,
     /// The session being mapped, and the number of its first keyframe.
@@ -48,7 +48,7 @@ pub struct Mapper {
     /// The cameras of the sessions, where they are not the first.
     pub(super) cameras: BTreeMap<u32, CameraIndex>,
     /// Whether loop closure is suspended to keep up with the camera.
-    hurried: bool,
+    is_suspended: bool,
     /// The markers that the session has seen.
     pub(super) landmarks: MarkerRecord,
     /// Whether the map is in the survey frame of its control points.
@@ -66,14 +66,15 @@ pub(super) enum ComparedKeyframes {
     OtherSessions,
 }
 
-/// Maximum number of steps of an optimisation while mapping; the next one continues it.
+/// Maximum number of steps of an optimisation while mapping; the next one continues it. More
+/// converge sooner and hold up the keyframes behind.
 const STEPS_ON_THE_WAY: usize = 2;
 
-/// Maximum number of steps of the final optimisation.
+/// Maximum number of steps of the final optimisation: bounds the time where it does not converge.
 pub(super) const STEPS_AT_THE_END: usize = 60;
 
-/// A loop closure with a squared residual above this (in variances) triggers an optimisation at
-/// once.
+/// A loop closure with a squared residual above this (three standard deviations) triggers an
+/// optimisation at once; smaller ones wait for the next.
 const MISFIT: f64 = 9.0;
 
 impl Mapper {
@@ -92,7 +93,7 @@ impl Mapper {
             first: 0,
             compared: ComparedKeyframes::All,
             cameras: BTreeMap::new(),
-            hurried: false,
+            is_suspended: false,
             landmarks: MarkerRecord::default(),
             is_surveyed: false,
             map: GroundMap {
@@ -106,7 +107,7 @@ impl Mapper {
             closures: Vec::new(),
             pending: Vec::new(),
             scales: Vec::new(),
-            patience: Patience::default(),
+            backoff: Backoff::default(),
             unsettled: 0,
             // A mean flow vector has no heading, so its loops cannot close.
             config: LoopClosureConfig {
@@ -145,8 +146,8 @@ impl Mapper {
 
     /// Suspends (`true`) or resumes (`false`) the search for loop closures, to keep up with a live
     /// camera. Keyframes inserted meanwhile are not searched later.
-    pub fn hurry(&mut self, hurried: bool) {
-        self.hurried = hurried;
+    pub fn suspend_loop_search(&mut self, is_suspended: bool) {
+        self.is_suspended = is_suspended;
     }
 
     /// Whether the session is connected to the map that it continues; true if it continues none.
@@ -184,8 +185,8 @@ impl Mapper {
     ) -> Result<()> {
         match event {
             KeyframeEvent::Made(new) => {
-                let ties: Vec<MapEdge> = new.tie.map(|tie| self.renumbered(tie)).into_iter().collect();
-                self.made(*new, self.session, &ties, color, images)?;
+                let edges: Vec<MapEdge> = new.tie.map(|tie| self.renumbered(tie)).into_iter().collect();
+                self.made(*new, self.session, &edges, color, images)?;
             }
             KeyframeEvent::Revisited(edge) if self.looks_for_loops() => {
                 let edge = self.renumbered(edge);
@@ -202,20 +203,20 @@ impl Mapper {
         &mut self,
         new: NewKeyframe,
         session: u32,
-        ties: &[MapEdge],
+        edges: &[MapEdge],
         color: Option<RgbImage>,
         images: &mut dyn KeyframeStore,
     ) -> Result<()> {
         self.matcher.set_mask(new.mask.clone());
         let camera = self.cameras.get(&session).copied().unwrap_or_default();
-        let sought = self.matcher.sought(new.image.clone(), &CameraPose { camera, pose: new.pose });
-        let signature = self.matcher.signature(&sought, &self.places_config);
-        let id = self.insert(&new, session, ties, signature);
+        let query = self.matcher.query(new.image.clone(), &CameraPose { camera, pose: new.pose });
+        let signature = self.matcher.signature(&query, &self.places_config);
+        let id = self.insert(&new, session, edges, signature);
         if let Some(keyframe) = self.keyframe(id) {
-            images.keep(keyframe, KeyframeImage { gray: new.image, color }, ties)?;
+            images.keep(keyframe, KeyframeImage { gray: new.image, color }, edges)?;
         }
         if self.looks_for_loops() {
-            self.close_loops(id, sought, images)?;
+            self.close_loops(id, query, images)?;
         }
         if let Some(keyframe) = self.index.get(&id).map(|&at| &self.map.keyframes[at])
             && self.compared != ComparedKeyframes::Earlier
@@ -235,7 +236,7 @@ impl Mapper {
     }
 
     fn looks_for_loops(&self) -> bool {
-        self.config.loops && !self.hurried
+        self.config.loops && !self.is_suspended
     }
 
     /// Whether a keyframe belongs to the session being mapped.
@@ -246,7 +247,7 @@ impl Mapper {
     /// Ends the session: optimises all poses and computes their covariances.
     pub fn finish(&mut self) {
         self.graph.reset_mount();
-        if !self.is_straightened() {
+        if !self.is_corrected() {
             return;
         }
         self.graph.optimize(STEPS_AT_THE_END);
@@ -268,7 +269,7 @@ impl Mapper {
             by_height[(HEIGHT, HEIGHT)] = height_m;
             whole.fixed_view_mut::<4, 4>(0, 0).copy_from(&propagated(&by_height, covariance));
             if whole[(HEIGHT, HEIGHT)] == 0.0 {
-                whole[(HEIGHT, HEIGHT)] = height_variance; // held by the rig, or what odometry knows of it
+                whole[(HEIGHT, HEIGHT)] = height_variance; // of the rig, or of odometry
             }
             whole.fixed_view_mut::<2, 2>(ROLL, ROLL).copy_from(&tilt);
             keyframe.covariance = whole;
@@ -292,7 +293,7 @@ impl Mapper {
 
     /// Whether there are loop closures or the map was surveyed: without them the map frame is the
     /// odometry frame.
-    pub fn is_straightened(&self) -> bool {
+    pub fn is_corrected(&self) -> bool {
         self.is_surveyed || self.map.edges.iter().any(|edge| edge.kind == EdgeKind::Loop)
     }
 
@@ -326,7 +327,7 @@ impl Mapper {
             self.graph.insert(keyframe.id, keyframe.pose, keyframe.odometry_pose.height_m);
         }
         for edge in &self.map.edges {
-            self.graph.tie(edge);
+            self.graph.add_edge(edge);
         }
     }
 
@@ -357,13 +358,13 @@ impl Mapper {
         &mut self,
         new: &NewKeyframe,
         session: u32,
-        ties: &[MapEdge],
+        edges: &[MapEdge],
         signature: Signature,
     ) -> KeyframeId {
         let id = KeyframeId(self.first + new.id.0);
-        let known = ties.first().map(|tie| if tie.from == id { tie.to } else { tie.from });
+        let known = edges.first().map(|edge| if edge.from == id { edge.to } else { edge.from });
         let pose = match known.and_then(|known| self.keyframe(known)) {
-            Some(known) if self.is_straightened() => known.map_from_odometry().apply_to_pose(&new.pose),
+            Some(known) if self.is_corrected() => known.map_from_odometry().apply_to_pose(&new.pose),
             _ => new.pose,
         };
         self.graph.insert(id, pose, new.pose.height_m);
@@ -379,9 +380,9 @@ impl Mapper {
             covariance: new.covariance,
             signature,
         });
-        for tie in ties {
-            self.graph.tie(tie);
-            self.map.edges.push(*tie);
+        for edge in edges {
+            self.graph.add_edge(edge);
+            self.map.edges.push(*edge);
         }
         id
     }

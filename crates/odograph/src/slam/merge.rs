@@ -15,7 +15,7 @@ pub struct Merged {
     /// Number of keyframes added.
     pub keyframes: usize,
     /// Number of loop closures between the two maps; with 0 their relative pose is unknown.
-    pub ties: usize,
+    pub loops: usize,
 }
 
 /// Merges `other` into the map that `mapper` continues ([`Mapper::continuing`]). Its keyframes are
@@ -41,9 +41,9 @@ pub fn merge(
     for keyframe in &other.keyframes {
         inserted.insert(keyframe.id);
         let at_it = |edge: &&MapEdge| edge.from == keyframe.id || edge.to == keyframe.id;
-        let ties = other.edges.iter().filter(at_it);
-        let ties = ties.filter(|edge| inserted.contains(&edge.from) && inserted.contains(&edge.to));
-        let ties: Vec<MapEdge> = ties.map(|edge| mapper.renumbered(*edge)).collect();
+        let edges = other.edges.iter().filter(at_it);
+        let edges = edges.filter(|edge| inserted.contains(&edge.from) && inserted.contains(&edge.to));
+        let edges: Vec<MapEdge> = edges.map(|edge| mapper.renumbered(*edge)).collect();
         let image = other_images.load(keyframe.id)?;
         let new = NewKeyframe {
             id: keyframe.id,
@@ -57,12 +57,12 @@ pub fn merge(
             image: image.gray,
             mask: None,
         };
-        mapper.made(new, keyframe.session, &ties, image.color, images)?;
+        mapper.made(new, keyframe.session, &edges, image.color, images)?;
         mapper.settle_where_due();
     }
     mapper.compared = ComparedKeyframes::All;
     mapper.finish();
-    Ok(Merged { keyframes: other.keyframes.len(), ties: mapper.closures().len() })
+    Ok(Merged { keyframes: other.keyframes.len(), loops: mapper.closures().len() })
 }
 
 /// Optimises the poses of a map and computes their covariances.

@@ -19,8 +19,8 @@ mod localization;
 mod merge;
 mod fleet;
 
-pub use antenna::{AntennaFix, Bent};
-pub use correction::{Straightening, Stretches, map_frames};
+pub use antenna::{AntennaFix, DriftCorrection};
+pub use correction::{KeyframeSpans, MapFrameCorrection, map_frames};
 pub use fleet::{FleetMapper, OdometryPlacement, SessionScale};
 pub use landmarks::{ControlUse, Landmark, Surveyed};
 pub use localization::Located;

@@ -201,7 +201,7 @@ fn a_second_drive_is_recognised_in_the_first_map() {
     let mut joined = Mapper::continuing(map.clone(), &config(), LoopClosureConfig::default(), 1, next);
     let merged = merge(&mut joined, &mut images, &other, &mut alone_images).unwrap();
     assert_eq!(merged.keyframes, other.keyframes.len());
-    assert!(merged.ties >= 2, "{merged:?}");
+    assert!(merged.loops >= 2, "{merged:?}");
     let place = joined.map().keyframes.last().unwrap();
     let truth = poses[place.frame as usize].unwrap();
     let off_mm = 1e3 * (place.pose.x_m - truth.x_m).hypot(place.pose.y_m - truth.y_m);
@@ -245,9 +245,9 @@ fn repeated_laps_do_not_grow_the_graph() {
     let mut images = MemoryImages::default();
     world.drive(&mut mapper, &mut images, &along((0.0, 0.0), 0.0, 14).collect::<Vec<_>>());
     assert!(mapper.map().keyframes.len() >= 2);
-    mapper.hurry(true);
+    mapper.suspend_loop_search(true);
     assert_eq!(revisited(&mut mapper, &mut images, 3), 0);
-    mapper.hurry(false);
+    mapper.suspend_loop_search(false);
     let few = revisited(&mut mapper, &mut images, 3);
     assert_eq!(few, 3);
     assert_eq!(revisited(&mut mapper, &mut images, 5), revisited(&mut mapper, &mut images, 50));

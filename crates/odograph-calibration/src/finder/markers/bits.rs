@@ -27,14 +27,14 @@ pub(crate) struct Reading {
     pub bits: u64,
     /// Gray level of each bit in the same order, without sharpening: −0.5 black, 0 the midpoint,
     /// 0.5 white.
-    pub grays: [f64; MOST_BITS * MOST_BITS],
+    pub grays: [f64; MAX_BITS * MAX_BITS],
 }
 
 /// Minimum contrast, gray levels.
-const LEAST_CONTRAST: f64 = 10.0;
+const MIN_CONTRAST: f64 = 10.0;
 /// Maximum share of white samples on the border, and of black samples in the surroundings.
-const MOST_WRONG_BORDER: f64 = 0.12;
-const MOST_WRONG_SURROUNDINGS: f64 = 0.25;
+const MAX_WRONG_BORDER: f64 = 0.12;
+const MAX_WRONG_SURROUNDINGS: f64 = 0.25;
 /// Smaller bits are blurred into each other and are sharpened, pixels.
 const SMALL_BIT_PX: f64 = 5.0;
 
@@ -67,12 +67,12 @@ pub(crate) fn read(
                 + sample(x + reach, y + reach)?),
         )
     };
-    let mut grid = [0.0; MOST_SIDE * MOST_SIDE];
+    let mut grid = [0.0; MAX_SIDE * MAX_SIDE];
     let (mut black, mut white) = (GraySamples::default(), GraySamples::default());
     for row in 0..side {
         for column in 0..side {
             let value = of_bit(at(column), at(row))?;
-            grid[row * MOST_SIDE + column] = value;
+            grid[row * MAX_SIDE + column] = value;
             let outermost = row == 0 || column == 0 || row + 1 == side || column + 1 == side;
             if outermost {
                 black.add(at(column), at(row), value);
@@ -93,24 +93,23 @@ pub(crate) fn read(
     let level = |plane: &Vector3<f64>, x: f64, y: f64| plane.x * x + plane.y * y + plane.z;
     let contrast = level(&white_plane, 0.5, 0.5) - level(&black_plane, 0.5, 0.5);
     let middle = |x: f64, y: f64| 0.5 * (level(&white_plane, x, y) + level(&black_plane, x, y));
-    if contrast < LEAST_CONTRAST
-        || black.share(|x, y, value| value > middle(x, y)) > MOST_WRONG_BORDER
-        || white.share(|x, y, value| value < middle(x, y)) > MOST_WRONG_SURROUNDINGS
+    if contrast < MIN_CONTRAST
+        || black.share(|x, y, value| value > middle(x, y)) > MAX_WRONG_BORDER
+        || white.share(|x, y, value| value < middle(x, y)) > MAX_WRONG_SURROUNDINGS
     {
         return None;
     }
     let mut bits = 0;
-    let mut grays = [0.0; MOST_BITS * MOST_BITS];
+    let mut grays = [0.0; MAX_BITS * MAX_BITS];
     let mut next = 0;
     for row in layout.border..layout.border + layout.bits {
         for column in layout.border..layout.border + layout.bits {
-            let here = row * MOST_SIDE + column;
+            let here = row * MAX_SIDE + column;
             let mut value = grid[here];
             grays[next] = (value - middle(at(column), at(row))) / contrast;
             next += 1;
             if bit_px < SMALL_BIT_PX {
-                let around =
-                    grid[here - 1] + grid[here + 1] + grid[here - MOST_SIDE] + grid[here + MOST_SIDE];
+                let around = grid[here - 1] + grid[here + 1] + grid[here - MAX_SIDE] + grid[here + MAX_SIDE];
                 value += value - 0.25 * around;
                 // Sharpening has no effect in uniform areas, so the threshold remains valid.
             }
@@ -122,10 +121,10 @@ pub(crate) fn read(
 }
 
 /// Maximum number of bits along a side, without the border.
-pub(super) const MOST_BITS: usize = 6;
+pub(super) const MAX_BITS: usize = 6;
 /// Maximum number of bits along a side, including the border: an AprilTag with a border of two
 /// bits.
-const MOST_SIDE: usize = 10;
+const MAX_SIDE: usize = 10;
 
 /// Gray level samples at positions on the marker.
 #[derive(Default)]

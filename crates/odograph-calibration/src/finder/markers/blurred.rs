@@ -1,16 +1,16 @@
 //! Decoding of blurred markers, whose bits merge, by template matching of the whole marker.
 
-use super::bits::MOST_BITS;
+use super::bits::MAX_BITS;
 
 /// Standard deviations of the blur of the templates, in bits.
 const BLURS: [f64; 4] = [0.35, 0.55, 0.75, 1.0];
 /// Minimum correlation with the best template, and minimum margin over the next-best marker or
 /// orientation.
-const LEAST_CORRELATION: f64 = 0.88;
-const LEAST_LEAD: f64 = 0.08;
+const MIN_CORRELATION: f64 = 0.88;
+const MIN_LEAD: f64 = 0.08;
 
 /// Gray levels of a marker's bits, with zero mean and unit norm.
-type Grays = [f32; MOST_BITS * MOST_BITS];
+type Grays = [f32; MAX_BITS * MAX_BITS];
 
 /// Templates of the blurred markers in four orientations.
 #[derive(Debug, Clone)]
@@ -33,7 +33,7 @@ impl Blurred {
     ///
     /// This is a matched filter for each marker: the maximum-likelihood decision for uniform blur
     /// and Gaussian noise.
-    pub fn look_up(&self, grays: &[f64; MOST_BITS * MOST_BITS]) -> Option<(usize, usize)> {
+    pub fn look_up(&self, grays: &[f64; MAX_BITS * MAX_BITS]) -> Option<(usize, usize)> {
         let seen = self.normalised(grays)?;
         let (mut best, mut next) = ((0.0, None), 0.0);
         for (id, turns) in self.looks.iter().enumerate() {
@@ -47,11 +47,11 @@ impl Blurred {
                 }
             }
         }
-        (best.0 >= LEAST_CORRELATION && best.0 - next >= LEAST_LEAD).then_some(best.1).flatten()
+        (best.0 >= MIN_CORRELATION && best.0 - next >= MIN_LEAD).then_some(best.1).flatten()
     }
 
     /// Correlation of a reading with an upright marker, maximised over the blur.
-    pub fn likeness(&self, id: usize, grays: &[f64; MOST_BITS * MOST_BITS]) -> f64 {
+    pub fn likeness(&self, id: usize, grays: &[f64; MAX_BITS * MAX_BITS]) -> f64 {
         self.normalised(grays).map_or(0.0, |seen| self.correlation(&self.looks[id][0], &seen))
     }
 
@@ -62,17 +62,17 @@ impl Blurred {
         f64::from(blurs.iter().map(product).fold(0.0, f32::max))
     }
 
-    fn normalised(&self, grays: &[f64; MOST_BITS * MOST_BITS]) -> Option<Grays> {
+    fn normalised(&self, grays: &[f64; MAX_BITS * MAX_BITS]) -> Option<Grays> {
         normalised(grays, self.bits * self.bits)
     }
 }
 
 /// Normalises to zero mean and unit norm; `None` for constant gray levels.
-fn normalised(grays: &[f64; MOST_BITS * MOST_BITS], count: usize) -> Option<Grays> {
+fn normalised(grays: &[f64; MAX_BITS * MAX_BITS], count: usize) -> Option<Grays> {
     let mean = grays[..count].iter().sum::<f64>() / count as f64;
     let length = grays[..count].iter().map(|gray| (gray - mean).powi(2)).sum::<f64>().sqrt();
     (length > 1e-9).then(|| {
-        let mut result = [0.0; MOST_BITS * MOST_BITS];
+        let mut result = [0.0; MAX_BITS * MAX_BITS];
         for (result, gray) in result[..count].iter_mut().zip(grays) {
             *result = ((gray - mean) / length) as f32;
         }
@@ -91,7 +91,7 @@ fn look(code: u64, bits: usize, blur: f64) -> Grays {
         let inside = (1..=bits).contains(&column) && (1..=bits).contains(&row);
         inside && code >> (bits * bits - 1 - (row - 1) * bits - (column - 1)) & 1 == 1
     };
-    let mut grays = [0.0; MOST_BITS * MOST_BITS];
+    let mut grays = [0.0; MAX_BITS * MAX_BITS];
     for row in 0..bits {
         for column in 0..bits {
             for (y, share_y) in [side, own, side].into_iter().enumerate() {
@@ -103,7 +103,7 @@ fn look(code: u64, bits: usize, blur: f64) -> Grays {
             }
         }
     }
-    normalised(&grays, bits * bits).unwrap_or([0.0; MOST_BITS * MOST_BITS])
+    normalised(&grays, bits * bits).unwrap_or([0.0; MAX_BITS * MAX_BITS])
 }
 
 /// The error function for non-negative x, accurate to 3e-5 (M. Abramowitz and I. Stegun, "Handbook

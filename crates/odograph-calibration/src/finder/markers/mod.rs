@@ -60,9 +60,9 @@ pub(super) struct Markers {
 }
 
 /// Minimum width and height of a dark region with a decodable marker, pixels.
-pub(super) const LEAST_PX: usize = 6;
+pub(super) const MIN_PX: usize = 6;
 /// Maximum number of decoded quadrangles, to bound the run time; a full board has some hundred.
-const MOST_QUADRANGLES: usize = 4000;
+const MAX_QUADRANGLES: usize = 4000;
 
 impl Codes {
     /// Codes for markers of `bits` by `bits`. The number of corrected bit errors is one less than
@@ -90,7 +90,7 @@ impl Codes {
                 }
             }
         }
-        let most_wrong = (least.saturating_sub(1) / 2).saturating_sub(1).min(MOST_FORGIVEN);
+        let most_wrong = (least.saturating_sub(1) / 2).saturating_sub(1).min(MAX_FORGIVEN);
         let blurred = Blurred::new(&turned, bits);
         Self { layouts, quiet, turned, most_wrong, blurred, windows: windows.to_vec() }
     }
@@ -116,18 +116,18 @@ impl Codes {
     pub fn looks_like(&self, id: usize, reading: &Reading) -> bool {
         let side = self.layouts.first().map_or(1, |layout| layout.bits) as f64;
         let wrong = (self.turned[id][0] ^ reading.bits).count_ones();
-        f64::from(wrong) <= MOST_WRONG_EXPECTED * side * side
+        f64::from(wrong) <= MAX_WRONG_EXPECTED * side * side
             || self.blurred.likeness(id, &reading.grays) >= 0.4 + 1.4 / side
     }
 }
 
 /// Maximum share of wrong bits of an expected marker.
-const MOST_WRONG_EXPECTED: f64 = 0.15;
+const MAX_WRONG_EXPECTED: f64 = 0.15;
 /// Maximum bit size for matching blurred templates, pixels; larger bits are only decoded one by
 /// one.
 const BLURRED_BIT_PX: f64 = 6.0;
 /// Maximum number of corrected bit errors; with more, texture is decoded as markers.
-const MOST_FORGIVEN: u32 = 3;
+const MAX_FORGIVEN: u32 = 3;
 
 /// The bits after a clockwise rotation by 90°.
 fn turned_once(bits: u64, side: usize) -> u64 {
@@ -151,7 +151,7 @@ pub(super) fn find(image: &GrayImage, codes: &Codes, least_px: usize) -> Markers
         for outline in outlines::outlines(image, &dark, least_px) {
             let Some(corners) = quadrangles::quadrangle(&outline) else { continue };
             let Some(corners) = quadrangles::moved_to_edges(image, &corners) else { continue };
-            if markers.quadrangles.len() == MOST_QUADRANGLES {
+            if markers.quadrangles.len() == MAX_QUADRANGLES {
                 return markers;
             }
             markers.quadrangles.push(corners);
@@ -173,12 +173,12 @@ pub(super) fn find_between(image: &GrayImage, codes: &Codes, markers: &mut Marke
     corners.sort_by(|a, b| a.x.total_cmp(&b.x));
     let nearest = |to: Pixel, within: f64| {
         let first = corners.partition_point(|corner| corner.x < to.x - within);
-        let near = corners[first..].iter().take(MOST_NEAR).take_while(|corner| corner.x <= to.x + within);
+        let near = corners[first..].iter().take(MAX_NEAR).take_while(|corner| corner.x <= to.x + within);
         near.min_by(|a, b| a.distance(to).total_cmp(&b.distance(to)))
             .filter(|corner| corner.distance(to) < within)
     };
     let inset = codes.quiet / (1.0 + 2.0 * codes.quiet);
-    for square in squares.iter().take(MOST_SQUARES) {
+    for square in squares.iter().take(MAX_SQUARES) {
         let Some(map) = map_of_square(square) else { continue };
         for side in 0..4 {
             let (from, to) = (SQUARE[side], SQUARE[(side + 1) % 4]);
@@ -204,10 +204,10 @@ pub(super) fn find_between(image: &GrayImage, codes: &Codes, markers: &mut Marke
 }
 
 /// Maximum number of quadrangles whose neighbours are decoded, to bound the run time.
-const MOST_SQUARES: usize = 1500;
+const MAX_SQUARES: usize = 1500;
 /// Maximum number of corners searched for the nearest one within a range of x, to bound the run
 /// time.
-const MOST_NEAR: usize = 400;
+const MAX_NEAR: usize = 400;
 
 const SQUARE: [(f64, f64); 4] = [(0.0, 0.0), (1.0, 0.0), (1.0, 1.0), (0.0, 1.0)];
 

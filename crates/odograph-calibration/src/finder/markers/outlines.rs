@@ -94,7 +94,7 @@ fn areas(dark: &Dark, least: usize) -> Vec<Area> {
 
 /// Maximum length of an outline relative to half the perimeter of its bounding box. A convex
 /// outline along pixel borders is exactly as long as the perimeter.
-const MOST_DENTED: usize = 3;
+const MAX_DENTED: usize = 3;
 
 /// The outer outlines of the dark regions, clockwise in the image. Their points have sub-pixel
 /// accuracy: the threshold crossing between a dark pixel and its bright neighbour.
@@ -102,7 +102,7 @@ pub(super) fn outlines(image: &GrayImage, dark: &Dark, least: usize) -> Vec<Vec<
     areas(dark, least)
         .iter()
         .filter_map(|area| {
-            let most = (area.right - area.left + area.bottom - area.top) * MOST_DENTED;
+            let most = (area.right - area.left + area.bottom - area.top) * MAX_DENTED;
             outline(image, dark, area.start, most)
         })
         .collect()

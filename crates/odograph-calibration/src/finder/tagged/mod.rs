@@ -6,6 +6,8 @@
 //! verified bit by bit at the predicted position. All predictions use local homographies over a few
 //! squares, so they tolerate lens distortion.
 
+mod layout;
+
 use super::NotFound;
 use super::markers::{self, Codes, Marker, MarkerLayout};
 use super::plane_map::{PlaneMap, WeightedMatch, least_width};
@@ -19,29 +21,29 @@ use std::collections::VecDeque;
 /// A board with markers and precomputed data for its detection.
 #[derive(Debug, Clone)]
 pub(super) struct TaggedBoard {
-    pub(super) points: Vec<BoardPoint>,
+    points: Vec<BoardPoint>,
     /// Columns and rows of the point grid.
-    pub(super) grid: (usize, usize),
+    grid: (usize, usize),
     /// Columns and rows of cells that may hold a marker, and the marker in each cell.
-    pub(super) cells: (usize, usize),
-    pub(super) marker_in_cell: Vec<Option<usize>>,
+    cells: (usize, usize),
+    marker_in_cell: Vec<Option<usize>>,
     /// The cell of each marker, and its corners on the board, clockwise from the top left as
     /// printed, metres.
-    pub(super) cell_of_marker: Vec<(usize, usize)>,
-    pub(super) corners_of_marker: Vec<[(f64, f64); 4]>,
+    cell_of_marker: Vec<(usize, usize)>,
+    corners_of_marker: Vec<[(f64, f64); 4]>,
     /// The markers adjacent to each point, and the points adjacent to each marker.
-    pub(super) markers_of_point: Vec<Vec<usize>>,
-    pub(super) points_of_marker: Vec<Vec<usize>>,
+    markers_of_point: Vec<Vec<usize>>,
+    points_of_marker: Vec<Vec<usize>>,
     /// Whether the upper left and lower right squares at a point are black; the other two have the
     /// opposite colour.
-    pub(super) black_upper_left: Vec<bool>,
-    pub(super) codes: Codes,
-    pub(super) drawing: Drawing,
+    black_upper_left: Vec<bool>,
+    codes: Codes,
+    drawing: Drawing,
     /// Distance from a point within which the four squares around it are uniform, metres.
     pub(super) plain_m: f64,
     /// Unit of distance for predictions (metres), and radius of the neighbourhood used for a
     /// prediction (points of the grid).
-    pub(super) spacing_m: f64,
+    spacing_m: f64,
     pub(super) reach: usize,
     /// Minimum number of consistent markers for a detection.
     pub(super) least_markers: usize,
@@ -50,7 +52,7 @@ pub(super) struct TaggedBoard {
 }
 
 /// Minimum number of points for a view: fewer do not determine a homography.
-const LEAST_POINTS: usize = 4;
+const MIN_POINTS: usize = 4;
 /// Tolerance for the consistency of two markers, in sides of a marker: the homography of each must
 /// predict the corners of the other. Only nearby markers are compared, because the homography of a
 /// small marker extrapolates poorly.
@@ -78,7 +80,7 @@ struct GrowingView<'a> {
 impl TaggedBoard {
     /// Detects the board, which may be partly visible.
     pub fn find(&self, image: &GrayImage) -> Result<BoardView, NotFound> {
-        let mut found = markers::find(image, &self.codes, markers::LEAST_PX);
+        let mut found = markers::find(image, &self.codes, markers::MIN_PX);
         let mut agreeing = self.agreeing(&found.read);
         if agreeing.len() < self.least_markers && self.is_chessboard {
             markers::find_between(image, &self.codes, &mut found);
@@ -127,7 +129,7 @@ impl TaggedBoard {
             let (x, y) = self.cell_of_marker[marker.id];
             let here = &mut in_cell[y * self.cells.0 + x];
             let side = marker.corners[0].distance(marker.corners[2]);
-            if here.len() < MOST_COPIES
+            if here.len() < MAX_COPIES
                 && here.iter().all(|&i| seeds[i].corners[0].distance(marker.corners[0]) > 0.2 * side)
             {
                 here.push(seeds.len());
@@ -183,7 +185,7 @@ impl TaggedBoard {
 }
 
 /// Maximum number of copies of one marker that are considered; an image may show several boards.
-const MOST_COPIES: usize = 24;
+const MAX_COPIES: usize = 24;
 
 impl GrowingView<'_> {
     /// Region growing: locates points from known ones until no more are found.
@@ -203,7 +205,7 @@ impl GrowingView<'_> {
         }
         while let Some(point) = waiting.pop_front() {
             is_waiting[point] = false;
-            if self.seen[point].is_some() || tries[point] >= MOST_TRIES {
+            if self.seen[point].is_some() || tries[point] >= MAX_TRIES {
                 continue;
             }
             tries[point] += 1;
@@ -213,7 +215,7 @@ impl GrowingView<'_> {
                 for y in row.saturating_sub(2)..(row + 3).min(rows) {
                     for x in column.saturating_sub(2)..(column + 3).min(columns) {
                         let next = y * columns + x;
-                        if self.seen[next].is_none() && !is_waiting[next] && tries[next] < MOST_TRIES {
+                        if self.seen[next].is_none() && !is_waiting[next] && tries[next] < MAX_TRIES {
                             is_waiting[next] = true;
                             waiting.push_back(next);
                         }
@@ -317,7 +319,7 @@ impl GrowingView<'_> {
         let board = self.board;
         let place = (board.points[point].x_m, board.points[point].y_m);
         let width = least_width(map.steps(place, 1.0)?) * board.spacing_m;
-        if !(LEAST_SPACING_PX..1e4).contains(&width) {
+        if !(MIN_SPACING_PX..1e4).contains(&width) {
             return None;
         }
         let look = |blur_px: f64| {
@@ -421,7 +423,7 @@ impl GrowingView<'_> {
             .enumerate()
             .filter_map(|(index, pixel)| pixel.map(|pixel| SeenPoint { index, pixel }))
             .collect();
-        if points.len() < LEAST_POINTS {
+        if points.len() < MIN_POINTS {
             return Err(NotFound::Blurred);
         }
         // Points in a single row do not determine a pose.
@@ -443,8 +445,8 @@ impl GrowingView<'_> {
 const BLURS_PX: [f64; 6] = [0.35, 0.6, 0.85, 1.1, 1.4, 1.8];
 const POINTS_FOR_BLUR: usize = 5;
 /// Maximum number of attempts per point; each time more neighbours are known.
-const MOST_TRIES: u8 = 4;
+const MAX_TRIES: u8 = 4;
 /// Weight of a marker corner relative to a located point.
 const MARKER_WEIGHT: f64 = 0.02;
 /// Minimum spacing in the image, pixels; below it, adjacent corners merge.
-const LEAST_SPACING_PX: f64 = 6.0;
+const MIN_SPACING_PX: f64 = 6.0;

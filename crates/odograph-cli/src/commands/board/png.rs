@@ -7,14 +7,14 @@ use odograph::error::{Error, Result};
 use odograph::image::GrayImage;
 
 /// The most pixels of a picture: A0 at 500 per inch.
-const MOST_PIXELS: f64 = 400e6;
+const MAX_PIXELS: f64 = 400e6;
 
 /// The picture, with its resolution in the file. Every pixel is as dark as the share of it that is
 /// black.
 pub fn png(page: &Page, dpi: u16) -> Result<Vec<u8>> {
     let scale = f64::from(dpi) / 25.4;
     let (width, height) = ((page.paper.width_mm * scale).round(), (page.paper.height_mm * scale).round());
-    if width * height > MOST_PIXELS {
+    if width * height > MAX_PIXELS {
         return Err(Error::usage(format!(
             "a picture of {width} x {height} pixels is too large; take a lower --dpi, or a .pdf, which is exact at any size"
         )));

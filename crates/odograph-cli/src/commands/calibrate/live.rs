@@ -14,7 +14,7 @@ use odograph::image::GrayImage;
 use odograph::mosaic::Mosaic;
 use odograph::numerics::median;
 use odograph::odometry::TrackView;
-use odograph_calibration::selection::{Guidance, LEAST_VIEWS, SelectionConfig, ViewCoverage, ViewSelector};
+use odograph_calibration::selection::{Guidance, MIN_VIEWS, SelectionConfig, ViewCoverage, ViewSelector};
 use odograph_calibration::{Board, BoardFinder, BoardView, Calibration, CalibrationConfig, Verdict};
 use odograph_live::capture::{Captured, Newest, Taken, Watch, without_credentials};
 use odograph_live::{Hub, Introduction, Phase, Status, View};
@@ -90,7 +90,7 @@ pub fn calibrate(
         guidance: None,
         guided: None,
         sent: None,
-        trial: Trial::default(),
+        trial: TrialCalibration::default(),
         rate: Rate::default(),
     };
     showing.follow();
@@ -168,7 +168,7 @@ struct Showing<'a> {
     guidance: Option<Guidance>,
     guided: Option<Instant>,
     sent: Option<Instant>,
-    trial: Trial,
+    trial: TrialCalibration,
     rate: Rate,
 }
 
@@ -298,14 +298,14 @@ fn said(calibration: &Calibration) -> String {
 
 /// Trial calibrations with the views so far, in parallel to the search.
 #[derive(Default)]
-struct Trial {
+struct TrialCalibration {
     running: Option<mpsc::Receiver<Result<Calibration>>>,
     /// How many different views the last one had.
     views: usize,
     result: Option<(bool, String)>,
 }
 
-impl Trial {
+impl TrialCalibration {
     fn runs(&self) -> bool {
         self.running.is_some()
     }
@@ -320,7 +320,7 @@ impl Trial {
 
     fn begin(&mut self, selector: &ViewSelector, board: &Board, config: &CalibrationConfig) {
         let distinct = selector.distinct();
-        if self.runs() || distinct < (self.views + VIEWS_UNTIL_NEXT_TRIAL).max(LEAST_VIEWS) {
+        if self.runs() || distinct < (self.views + VIEWS_UNTIL_NEXT_TRIAL).max(MIN_VIEWS) {
             return;
         }
         self.views = distinct;

@@ -57,7 +57,7 @@ pub struct CalibrateArguments {
     capture: CaptureArguments,
     /// Lens model; auto takes the one that predicts unseen views best.
     #[arg(help_heading = "Board and lens", long, value_name = "MODEL", default_value = "auto")]
-    model: Model,
+    model: LensModelOption,
     /// Assume square pixels: one focal length for both directions.
     #[arg(help_heading = "Board and lens", long)]
     square_pixels: bool,
@@ -110,7 +110,7 @@ files have been written and say why).";
 
 /// The lens models by their names on the command line.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, clap::ValueEnum)]
-enum Model {
+enum LensModelOption {
     /// The one that predicts new views best.
     Auto,
     /// No distortion.
@@ -127,7 +127,7 @@ enum Model {
     DoubleSphere,
 }
 
-impl Model {
+impl LensModelOption {
     fn lens(self) -> Option<LensModel> {
         match self {
             Self::Auto => None,

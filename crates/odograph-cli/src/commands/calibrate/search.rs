@@ -26,7 +26,7 @@ pub struct BoardSearch {
 }
 
 /// The result for one frame.
-pub struct Looked {
+pub struct FrameSearch {
     name: String,
     time_s: Option<f64>,
     picture: bool,
@@ -34,7 +34,7 @@ pub struct Looked {
     outcome: std::result::Result<(BoardView, Option<f64>), NotFound>,
 }
 
-impl Looked {
+impl FrameSearch {
     /// The board, or why it was not found.
     pub fn view(&self) -> std::result::Result<&BoardView, &NotFound> {
         self.outcome.as_ref().map(|(view, _)| view)
@@ -42,9 +42,9 @@ impl Looked {
 }
 
 /// Number of images without the board that are named.
-const MOST_NAMED: usize = 100;
+const MAX_NAMED: usize = 100;
 /// Number of different reasons that are counted: there could be as many board sizes as frames.
-const MOST_REASONS: usize = 8;
+const MAX_REASONS: usize = 8;
 
 /// Looks for the board in every frame.
 pub fn search(
@@ -86,7 +86,7 @@ fn side_by_side(
 ) -> Result<()> {
     thread::scope(|scope| -> Result<()> {
         let (frames_in, frames_out) = mpsc::sync_channel::<SearchedImage>(threads);
-        let (looked_in, looked_out) = mpsc::sync_channel::<(u64, Looked)>(threads);
+        let (looked_in, looked_out) = mpsc::sync_channel::<(u64, FrameSearch)>(threads);
         let decoder = scope.spawn(move || -> Result<()> {
             while let Some(frame) = next(input)? {
                 if frames_in.send(frame).is_err() {
@@ -130,12 +130,12 @@ fn next(input: &mut Input) -> Result<Option<SearchedImage>> {
 }
 
 /// Looks for the board in a frame.
-pub fn look(finder: &BoardFinder, frame: SearchedImage) -> Looked {
+pub fn look(finder: &BoardFinder, frame: SearchedImage) -> FrameSearch {
     let outcome = finder.find(&frame.image).map(|view| {
         let blur_px = blur_px(&frame.image, &view);
         (view, blur_px)
     });
-    Looked { name: frame.name, time_s: frame.time_s, picture: frame.picture, outcome }
+    FrameSearch { name: frame.name, time_s: frame.time_s, picture: frame.picture, outcome }
 }
 
 /// What has been found so far, frame by frame in their order.
@@ -182,7 +182,7 @@ impl Gathering {
     }
 
     /// Takes a frame that was looked at, in the order of their numbers.
-    pub fn add(&mut self, looked: Looked) {
+    pub fn add(&mut self, looked: FrameSearch) {
         let search = &mut self.search;
         let number = search.found.looked_at;
         search.found.looked_at += 1;
@@ -202,12 +202,12 @@ impl Gathering {
                 self.say_what_is_missing();
             }
             Err(why) => {
-                if looked.picture && search.found.pictures_without.len() < MOST_NAMED {
+                if looked.picture && search.found.pictures_without.len() < MAX_NAMED {
                     search.found.pictures_without.push((looked.name, why.to_string()));
                 }
                 match self.reasons.iter().position(|(reason, _)| alike(reason, &why)) {
                     Some(at) => self.reasons[at].1 += 1,
-                    None if self.reasons.len() < MOST_REASONS => self.reasons.push((why, 1)),
+                    None if self.reasons.len() < MAX_REASONS => self.reasons.push((why, 1)),
                     None => {}
                 }
             }

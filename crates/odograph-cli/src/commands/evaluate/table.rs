@@ -13,6 +13,20 @@ pub fn text(
     e: &Evaluation,
     over_ground_m: Option<[f64; 2]>,
 ) -> String {
+    let mut out = summary(estimate, truth, options, e, over_ground_m);
+    errors(e, &mut out);
+    drift(e, &mut out);
+    out
+}
+
+/// Lines about the two paths as wholes.
+fn summary(
+    estimate: &Path,
+    truth: &Path,
+    options: &EvaluationOptions,
+    e: &Evaluation,
+    over_ground_m: Option<[f64; 2]>,
+) -> String {
     let mut out = String::new();
     let _ =
         writeln!(out, "{} against {}, alignment {}", estimate.display(), truth.display(), options.alignment);
@@ -62,17 +76,26 @@ pub fn text(
     {
         let _ = writeln!(out, "note     the path has no stretch of {delta}");
     }
+    out
+}
+
+/// Absolute and relative errors.
+fn errors(e: &Evaluation, out: &mut String) {
     let _ = writeln!(
         out,
         "\n{:<30}{:>12}{:>12}{:>12}{:>12}{:>12}{:>12}{:>8}",
         "error", "rmse", "mean", "median", "std", "min", "max", "count"
     );
-    row(&mut out, "absolute position (m)", &e.absolute.translation, 1.0);
-    row(&mut out, "absolute rotation (°)", &e.absolute.rotation, DEGREES);
+    row(out, "absolute position (m)", &e.absolute.translation, 1.0);
+    row(out, "absolute rotation (°)", &e.absolute.rotation, DEGREES);
     for relative in &e.relative {
-        row(&mut out, &format!("position over {} (m)", relative.delta), &relative.translation, 1.0);
-        row(&mut out, &format!("rotation over {} (°)", relative.delta), &relative.rotation, DEGREES);
+        row(out, &format!("position over {} (m)", relative.delta), &relative.translation, 1.0);
+        row(out, &format!("rotation over {} (°)", relative.delta), &relative.rotation, DEGREES);
     }
+}
+
+/// Mean errors over each length of path.
+fn drift(e: &Evaluation, out: &mut String) {
     if !e.drift.is_empty() {
         let _ = writeln!(
             out,
@@ -92,7 +115,6 @@ pub fn text(
             );
         }
     }
-    out
 }
 
 const DEGREES: f64 = 180.0 / std::f64::consts::PI;

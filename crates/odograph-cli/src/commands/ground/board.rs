@@ -8,13 +8,13 @@ use odograph_calibration::{Board, BoardFinder, BoardView};
 use odograph_calibration::{BoardMounting, FloorBoard, rig_from_boards};
 
 /// More views than this add no information.
-const MOST_VIEWS: usize = 100;
+const MAX_VIEWS: usize = 100;
 
 /// Views in which the board moved by less than this since the last one are duplicates, pixels.
 const MOVED_PX: f64 = 3.0;
 
 /// Number of pictures for which the reason of their exclusion is printed.
-const MOST_TOLD: usize = 8;
+const MAX_TOLD: usize = 8;
 
 /// What was found in all sources.
 struct BoardSightings {
@@ -50,11 +50,11 @@ pub fn measure(arguments: &GroundArguments, board: Board) -> Result<RigMeasureme
     let (camera, uncertainty) = read_camera(&arguments.camera, size)?;
     let mounting = rig_from_boards(&camera, uncertainty.as_ref(), &floor, &found.views)?;
     let mut warnings = found.warnings;
-    for (name, why) in found.without.iter().take(MOST_TOLD) {
+    for (name, why) in found.without.iter().take(MAX_TOLD) {
         warnings.push(format!("{name} is left out: {why}"));
     }
-    if found.without.len() > MOST_TOLD {
-        warnings.push(format!("{} more pictures show no board", found.without.len() - MOST_TOLD));
+    if found.without.len() > MAX_TOLD {
+        warnings.push(format!("{} more pictures show no board", found.without.len() - MAX_TOLD));
     }
     for (view, name) in mounting.views.iter().zip(&found.names) {
         if let Some(why) = &view.why_not {
@@ -92,7 +92,7 @@ fn look(arguments: &GroundArguments, board: &Board) -> Result<BoardSightings> {
             if interrupt::asked() {
                 return Err(Error::usage("interrupted; nothing was written"));
             }
-            if found.views.len() >= MOST_VIEWS {
+            if found.views.len() >= MAX_VIEWS {
                 break;
             }
             found.frames += 1;

@@ -73,7 +73,7 @@ pub fn measure(arguments: &GroundArguments) -> Result<RigMeasurement> {
     let (mut camera, uncertainty) = read_camera(&arguments.camera, size)?;
     let mut pass = follow(arguments, path, &camera, uncertainty.as_ref(), rig, 1)?;
     let mut lens_off_px = None;
-    for number in 0..MOST_PASSES {
+    for number in 0..MAX_PASSES {
         let off_rad = (pass.found.roll_rad - rig.roll_rad).hypot(pass.found.pitch_rad - rig.pitch_rad);
         if let Some(lens) = pass.lens.take().filter(|_| lens_off_px.is_none()) {
             lens_off_px = Some(lens.off_px);
@@ -126,7 +126,7 @@ pub fn measure(arguments: &GroundArguments) -> Result<RigMeasurement> {
 
 /// Number of further passes: then the lens is known, and the tilt has converged to a hundredth of
 /// the tolerance.
-const MOST_PASSES: usize = 3;
+const MAX_PASSES: usize = 3;
 
 /// Tracks the whole recording and solves for its tilt.
 fn follow(
@@ -140,7 +140,7 @@ fn follow(
     let mut source = odograph_video::open(path, &arguments.source_options())?;
     let mut odometry = Odometry::new(camera.clone(), rig, OdometryConfig::default())?;
     let mut driven = DrivenTilt::new(camera, DrivingConfig::default());
-    let doing = format!("pass {number} of at most {}: ", MOST_PASSES + 1);
+    let doing = format!("pass {number} of at most {}: ", MAX_PASSES + 1);
     let progress = console::progress(&doing, source.info().frame_count, arguments.quiet);
     let mut last = None;
     let (mut before, mut length_by_frames_m) = (None::<GroundPose>, 0.0);
@@ -199,10 +199,10 @@ fn by_distance(path: &str, pass: &CalibrationPass, distance: Typed) -> Result<(f
     })?;
     let between = (pass.length_by_frames_m - by_chords).max(0.0);
     let length = by_chords + 0.5 * between;
-    if length < LEAST_HEIGHTS {
+    if length < MIN_HEIGHTS {
         return Err(Error::input(format!(
             "{path}: the camera moved by only {length:.2} times its height; --distance needs at least \
-             {LEAST_HEIGHTS:.0} times"
+             {MIN_HEIGHTS:.0} times"
         )));
     }
     let height_m = distance.metres / length;
@@ -212,7 +212,7 @@ fn by_distance(path: &str, pass: &CalibrationPass, distance: Typed) -> Result<(f
 }
 
 /// Shortest path from which the height is estimated, in heights.
-const LEAST_HEIGHTS: f64 = 2.0;
+const MIN_HEIGHTS: f64 = 2.0;
 
 fn summary(found: &TiltMeasurement) -> String {
     format!(

@@ -5,7 +5,7 @@ mod capture_arguments;
 mod outputs;
 mod serving;
 
-use super::run::{ConsoleObserver, LogArguments, MountedCamera, print_summary};
+use super::run::{ConsoleObserver, LogArguments, MountedCameraArguments, print_summary};
 use super::site::SiteLinkArguments;
 use crate::{Outcome, interrupt};
 pub use capture_arguments::CaptureArguments;
@@ -33,7 +33,7 @@ pub struct LiveArguments {
     #[arg(value_name = "SOURCE")]
     pub source: String,
     #[command(flatten)]
-    pub mounted: MountedCamera,
+    pub mounted: MountedCameraArguments,
     #[command(flatten)]
     pub capture: CaptureArguments,
     #[command(flatten)]

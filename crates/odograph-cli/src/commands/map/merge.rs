@@ -96,7 +96,7 @@ fn joined(first: &Path, others: &[PathBuf], path: &Path, arguments: &MergeArgume
             "{}: {} keyframes, seen again in {} places\n",
             other.display(),
             added.merged.keyframes,
-            added.merged.ties
+            added.merged.loops
         );
         finest_m = match (finest_m, added.mosaic_m) {
             (Some(a), Some(b)) => Some(a.min(b)),
@@ -153,7 +153,7 @@ fn join(mut file: MapFile, path: &Path, arguments: &MergeArguments) -> Result<(M
     let pictures = MapFile::open_read_only(path)?;
     let mut store = Joined { file, other: pictures, beginning: beginning.0 };
     let merged = slam::merge(&mut mapper, &mut store, &added, &mut other)?;
-    if merged.ties == 0 {
+    if merged.loops == 0 {
         let earlier = if arguments.maps.len() > 2 { "the maps before it" } else { "the other" };
         return Err(Error::input(format!(
             "no ground of {} was recognised in {earlier}, so their relative position is not known; a \
@@ -203,7 +203,7 @@ impl KeyframeStore for Joined {
         self.file.add_keyframe_of(keyframe, &self.other, there, ties)
     }
 
-    fn tie(&mut self, edge: &MapEdge) -> Result<()> {
+    fn add_edge(&mut self, edge: &MapEdge) -> Result<()> {
         self.file.add_edges(std::slice::from_ref(edge))
     }
 }

@@ -10,7 +10,9 @@ use super::site::SiteLinkArguments;
 use crate::{Outcome, console, files};
 use console_observer::Progress;
 pub use console_observer::{ConsoleObserver, LogArguments};
-pub use mounted_camera::{CameraSetup, FieldOfView, Motion, MountedCamera, PoseFrameName, ProfileChoice};
+pub use mounted_camera::{
+    CameraSetup, FieldOfView, Motion, MountedCameraArguments, PoseFrameName, ProfileChoice,
+};
 use odograph::error::{Error, Result};
 use odograph_report::HtmlReporter;
 use odograph_session::{MapUse, RunBuilder, RunEnd, SourcePlan};
@@ -34,7 +36,7 @@ pub struct RunArguments {
     #[arg(value_name = "MORE")]
     pub more: Vec<String>,
     #[command(flatten)]
-    pub mounted: MountedCamera,
+    pub mounted: MountedCameraArguments,
     /// Topic with the images, where a robot recording (MCAP, ROS bag) has several.
     #[arg(help_heading = "Recording", long, value_name = "NAME")]
     pub topic: Option<String>,
@@ -44,16 +46,16 @@ pub struct RunArguments {
     /// Frames a second, where the source does not say.
     #[arg(help_heading = "Recording", long, value_name = "RATE", allow_negative_numbers = true)]
     pub fps: Option<f64>,
-    /// Begin so many seconds after the first frame.
+    /// Begin this many seconds after the first frame.
     #[arg(help_heading = "Recording", long, value_name = "SECONDS", allow_negative_numbers = true)]
     pub start: Option<f64>,
-    /// End so many seconds after the first frame.
+    /// End this many seconds after the first frame.
     #[arg(help_heading = "Recording", long, value_name = "SECONDS", allow_negative_numbers = true)]
     pub end: Option<f64>,
     /// Take every n-th frame.
     #[arg(help_heading = "Recording", long, value_name = "N", default_value_t = 1)]
     pub every: u64,
-    /// Take at most so many frames.
+    /// Take at most this many frames.
     #[arg(help_heading = "Recording", long, value_name = "N")]
     pub max_frames: Option<u64>,
     /// Time that a frame may take, milliseconds; fewer corners are followed if needed.

@@ -98,7 +98,7 @@ pub struct ProfileChoice {
 
 /// Camera, mount and motion.
 #[derive(Debug, Clone, clap::Args)]
-pub struct MountedCamera {
+pub struct MountedCameraArguments {
     #[command(flatten)]
     pub setup: CameraSetup,
     #[command(flatten)]
@@ -111,7 +111,7 @@ pub struct MountedCamera {
     pub motion: Motion,
 }
 
-impl MountedCamera {
+impl MountedCameraArguments {
     /// The same with what its profile has.
     pub fn with_profile(self) -> Result<Self> {
         let setup = self.setup.or_of_profile(self.chosen.profile.as_deref())?;

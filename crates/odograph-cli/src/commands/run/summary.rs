@@ -52,11 +52,11 @@ pub fn tell_warnings(outcome: &RunOutcome, place: &str) {
 }
 
 /// Number of losses that are listed one by one.
-const MOST_LOSSES: usize = 5;
+const MAX_LOSSES: usize = 5;
 
 /// Tells when and why tracking was lost.
 fn losses(stretches: &[LostStretch]) {
-    for stretch in stretches.iter().take(MOST_LOSSES) {
+    for stretch in stretches.iter().take(MAX_LOSSES) {
         console::note(&format!(
             "lost from {:.2} to {:.2} s: {}",
             stretch.from_s,
@@ -64,7 +64,7 @@ fn losses(stretches: &[LostStretch]) {
             stretch.because()
         ));
     }
-    if stretches.len() > MOST_LOSSES {
-        console::note(&format!("and {} more losses, which the report lists", stretches.len() - MOST_LOSSES));
+    if stretches.len() > MAX_LOSSES {
+        console::note(&format!("and {} more losses, which the report lists", stretches.len() - MAX_LOSSES));
     }
 }

@@ -5,7 +5,7 @@ use odograph::error::{Error, Result};
 use std::io::{self, Seek, SeekFrom, Write};
 
 /// RIFF counts bytes in 32 bits; not all readers accept more than half of that.
-const MOST_BYTES: u64 = 0x7FFF_0000;
+const MAX_BYTES: u64 = 0x7FFF_0000;
 /// Flag of an index entry: this picture can be shown without others.
 const KEYFRAME: u32 = 0x10;
 
@@ -42,7 +42,7 @@ impl<W: Write + Seek> Writer<W> {
     pub fn add(&mut self, jpeg: &[u8]) -> Result<()> {
         let size = jpeg.len() as u32;
         let padded = u64::from(size) + u64::from(size % 2) + 8;
-        if self.movie_bytes + padded + self.index.len() as u64 > MOST_BYTES {
+        if self.movie_bytes + padded + self.index.len() as u64 > MAX_BYTES {
             return Err(Error::output(
                 "an AVI file cannot hold so many pictures; record shorter or choose --format png",
             ));

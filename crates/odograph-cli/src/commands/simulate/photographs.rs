@@ -11,15 +11,15 @@ use zune_jpeg::zune_core::colorspace::ColorSpace;
 use zune_jpeg::zune_core::options::DecoderOptions;
 
 /// Photographs of more pixels than this are refused: they would need gigabytes.
-const MOST_PIXELS: u64 = 100_000_000;
+const MAX_PIXELS: u64 = 100_000_000;
 
 /// Largest size of a photograph's file, bytes.
-const MOST_BYTES: u64 = 512 << 20;
+const MAX_BYTES: u64 = 512 << 20;
 
 /// Reads a photograph. The error names the file and, if it does not exist, the named textures.
 pub fn read(name: &str) -> Result<RgbImage> {
-    let bytes = read_regular_file(Path::new(name), MOST_BYTES).map_err(|error| match error.kind() {
-        ErrorKind::FileTooLarge => Error::input(format!("{name} is larger than {} MiB", MOST_BYTES >> 20)),
+    let bytes = read_regular_file(Path::new(name), MAX_BYTES).map_err(|error| match error.kind() {
+        ErrorKind::FileTooLarge => Error::input(format!("{name} is larger than {} MiB", MAX_BYTES >> 20)),
         ErrorKind::NotFound if !name.contains(['.', '/', '\\']) => {
             let names: Vec<_> = Texture::names().collect();
             Error::usage(format!(
@@ -76,7 +76,7 @@ fn jpeg(bytes: &[u8]) -> std::result::Result<RgbImage, String> {
 }
 
 fn checked_size(width: u64, height: u64) -> std::result::Result<(), String> {
-    if width.saturating_mul(height) > MOST_PIXELS {
+    if width.saturating_mul(height) > MAX_PIXELS {
         return Err(format!("{width}x{height} pixels are too many; reduce it"));
     }
     Ok(())

@@ -56,7 +56,7 @@ pub struct VibrationOption(Vibration);
 
 /// A number and a second one that may be left out.
 #[derive(Debug, Clone, Copy, PartialEq)]
-pub struct Pair(f64, Option<f64>);
+pub struct PairOption(f64, Option<f64>);
 
 /// `--markers` as it was typed.
 #[derive(Debug, Clone, PartialEq)]
@@ -182,12 +182,12 @@ fn effects(arguments: &SimulateArguments, rig: &Rig, camera: &Camera) -> Effects
         tilt_change: arguments
             .tilt_change
             .map(|degrees| SlowVariation { amplitude: degrees.to_radians(), period_s: 4.0 }),
-        breathing: arguments.breathing.map(|Pair(percent, seconds)| Breathing {
+        breathing: arguments.breathing.map(|PairOption(percent, seconds)| Breathing {
             share: percent / 100.0,
             period_s: seconds.unwrap_or(5.0),
         }),
         terrain: terrain(arguments),
-        sway: arguments.sway.map(|Pair(px, share)| {
+        sway: arguments.sway.map(|PairOption(px, share)| {
             let (fx, fy) = camera.focal_px();
             let footprint_m = rig.height_m / (fx * fy).sqrt();
             Sway { amplitude_m: px * footprint_m, share: share.unwrap_or(0.3), period_s: 1.6 }
@@ -218,18 +218,20 @@ fn effects(arguments: &SimulateArguments, rig: &Rig, camera: &Camera) -> Effects
 
 fn terrain(arguments: &SimulateArguments) -> Terrain {
     Terrain {
-        relief: arguments.relief.map(|Pair(mm, scale_cm)| Relief {
+        relief: arguments.relief.map(|PairOption(mm, scale_cm)| Relief {
             amplitude_m: mm / 1000.0,
             scale_m: scale_cm.unwrap_or(3.0) / 100.0,
         }),
-        undulation: arguments.undulation.map(|Pair(cm, wavelength_m)| Undulation {
+        undulation: arguments.undulation.map(|PairOption(cm, wavelength_m)| Undulation {
             amplitude_m: cm / 100.0,
             wavelength_m: wavelength_m.unwrap_or(2.0),
         }),
-        kerb: arguments.kerb.map(|Pair(cm, at_m)| Kerb { height_m: cm / 100.0, at_m: at_m.unwrap_or(1.0) }),
+        kerb: arguments
+            .kerb
+            .map(|PairOption(cm, at_m)| Kerb { height_m: cm / 100.0, at_m: at_m.unwrap_or(1.0) }),
         ramp: arguments
             .ramp
-            .map(|Pair(percent, at_m)| Ramp { slope: percent / 100.0, at_m: at_m.unwrap_or(1.0) }),
+            .map(|PairOption(percent, at_m)| Ramp { slope: percent / 100.0, at_m: at_m.unwrap_or(1.0) }),
         ride: arguments.ride,
     }
 }
@@ -291,28 +293,28 @@ pub fn parse_vibration(text: &str) -> std::result::Result<VibrationOption, Strin
 }
 
 /// Millimetres, and a distance in centimetres, or both with units: `8`, `8:3`, `8mm:3cm`.
-pub fn parse_mm_cm(text: &str) -> std::result::Result<Pair, String> {
+pub fn parse_mm_cm(text: &str) -> std::result::Result<PairOption, String> {
     lengths_of(text, 1e-3, 1e-2)
 }
 
 /// Centimetres, and a distance in metres, or both with units: `5`, `5:1.5`, `50mm:150cm`.
-pub fn parse_cm_m(text: &str) -> std::result::Result<Pair, String> {
+pub fn parse_cm_m(text: &str) -> std::result::Result<PairOption, String> {
     lengths_of(text, 1e-2, 1.0)
 }
 
 /// Two lengths, the second of which may be missing, each in its own unit.
-fn lengths_of(text: &str, first_m: f64, second_m: f64) -> std::result::Result<Pair, String> {
+fn lengths_of(text: &str, first_m: f64, second_m: f64) -> std::result::Result<PairOption, String> {
     let (first, second) = text.split_once(':').map_or((text, None), |(a, b)| (a, Some(b)));
     let second = second.map(|text| lengths::in_unit(text, second_m)).transpose()?;
-    Ok(Pair(lengths::in_unit(first, first_m)?, second))
+    Ok(PairOption(lengths::in_unit(first, first_m)?, second))
 }
 
 /// `5` or `5:1.5`.
-pub fn parse_pair(text: &str) -> std::result::Result<Pair, String> {
+pub fn parse_pair(text: &str) -> std::result::Result<PairOption, String> {
     let number = |part: &str| part.trim().parse::<f64>().ok();
     let pair = match text.split_once(':') {
-        Some((first, second)) => number(first).zip(number(second)).map(|(a, b)| Pair(a, Some(b))),
-        None => number(text).map(|first| Pair(first, None)),
+        Some((first, second)) => number(first).zip(number(second)).map(|(a, b)| PairOption(a, Some(b))),
+        None => number(text).map(|first| PairOption(first, None)),
     };
     pair.ok_or("it is written as one number, or as two with a colon between, for example 5:1.5".to_string())
 }
@@ -345,11 +347,11 @@ mod tests {
         assert_eq!((vibration.shift_m, vibration.frequency_hz), (0.002, 12.0));
         assert!(parse_vibration("a lot").is_err() && parse_vibration("1:2:3:4").is_err());
         assert_eq!(parse_blackout("2.5:4"), Ok(Blackout { from_s: 2.5, to_s: 4.0 }));
-        assert_eq!(parse_pair("-5"), Ok(Pair(-5.0, None)));
-        assert_eq!(parse_pair("5:1.5"), Ok(Pair(5.0, Some(1.5))));
-        assert_eq!(parse_cm_m("-5"), Ok(Pair(-5.0, None)));
-        assert_eq!(parse_cm_m("50mm:150cm"), Ok(Pair(5.0, Some(1.5))));
-        assert_eq!(parse_mm_cm("8:3"), Ok(Pair(8.0, Some(3.0))));
+        assert_eq!(parse_pair("-5"), Ok(PairOption(-5.0, None)));
+        assert_eq!(parse_pair("5:1.5"), Ok(PairOption(5.0, Some(1.5))));
+        assert_eq!(parse_cm_m("-5"), Ok(PairOption(-5.0, None)));
+        assert_eq!(parse_cm_m("50mm:150cm"), Ok(PairOption(5.0, Some(1.5))));
+        assert_eq!(parse_mm_cm("8:3"), Ok(PairOption(8.0, Some(3.0))));
         assert!(parse_mm_cm("8 apples").unwrap_err().contains("90cm"));
         assert_eq!(parse_markers("apriltag:36h11:80mm:10m").unwrap().spacing_m, 10.0);
         assert!(parse_markers("apriltag:36h11:80mm").unwrap_err().contains("FAMILY:SIZE:SPACING"));

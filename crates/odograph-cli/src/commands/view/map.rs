@@ -18,7 +18,7 @@ use std::thread;
 
 /// A ground that is rendered while it is looked at has no more squares: 256 MB of memory. One that
 /// would have is made coarser.
-const MOST_SQUARES: usize = 1024;
+const MAX_SQUARES: usize = 1024;
 /// Between two sessions on the slider, seconds.
 const PAUSE_S: f64 = 1.0;
 
@@ -151,7 +151,7 @@ fn render(mut file: MapFile, tiles: &GrowingTiles, ended: &AtomicBool) -> Result
             for tile in rendered {
                 tiles.put(MosaicSquare { column: tile.column, row: tile.row }, tile.rgba);
             }
-            if tiles.count() > MOST_SQUARES {
+            if tiles.count() > MAX_SQUARES {
                 resolution_m = Some(2.0 * rendering.resolution_m());
                 continue 'coarser;
             }

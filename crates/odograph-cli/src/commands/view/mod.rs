@@ -31,9 +31,9 @@ pub struct ViewArguments {
 }
 
 /// No table of a run is larger: a week at 30 frames a second, bytes.
-const MOST_TABLE: u64 = 4 << 30;
+const MAX_TABLE: u64 = 4 << 30;
 /// No mosaic that was written by this program has more pixels.
-const MOST_PIXELS: usize = 64 << 20;
+const MAX_PIXELS: usize = 64 << 20;
 
 /// Runs the command.
 pub fn view(arguments: ViewArguments) -> Result<Outcome> {
@@ -99,7 +99,7 @@ fn serve_map(path: &Path, serve: &ServeArguments, ended: &Arc<AtomicBool>) -> Re
         live: false,
         calibration: false,
     };
-    let ground = map::ground(path, MOST_PIXELS, ended)?;
+    let ground = map::ground(path, MAX_PIXELS, ended)?;
     let folder = path.parent().filter(|folder| *folder != Path::new("")).unwrap_or(Path::new("."));
     let name = path.file_name().unwrap_or_default().to_string_lossy().into_owned();
     let offer = Offer { folder: folder.to_owned(), files: vec![name] };
@@ -139,7 +139,7 @@ fn records(folder: &Path) -> Result<Vec<TrackRecord>> {
             }
         }));
     }
-    TrackRecord::from_csv(&files::read_text_within(&table, MOST_TABLE)?)
+    TrackRecord::from_csv(&files::read_text_within(&table, MAX_TABLE)?)
         .map_err(|error| error.at(folder.display()))
 }
 
@@ -162,9 +162,9 @@ fn mosaic(folder: &Path) -> Result<Option<GroundPicture>> {
     let damaged = |why: String| Error::input(format!("{} cannot be shown: {why}", picture.display()));
     let file = File::open(&picture).map_err(|error| damaged(error.to_string()))?;
     let mut decoder = png::Decoder::new(BufReader::new(file));
-    decoder.set_limits(png::Limits { bytes: 8 * MOST_PIXELS });
+    decoder.set_limits(png::Limits { bytes: 8 * MAX_PIXELS });
     let mut reader = decoder.read_info().map_err(|error| damaged(error.to_string()))?;
-    let size = reader.output_buffer_size().filter(|size| *size <= 4 * MOST_PIXELS);
+    let size = reader.output_buffer_size().filter(|size| *size <= 4 * MAX_PIXELS);
     let (color, depth) = reader.output_color_type();
     if color != png::ColorType::Rgba || depth != png::BitDepth::Eight {
         return Err(damaged("it is not a mosaic of this program".to_owned()));

@@ -1,6 +1,6 @@
 //! Access to cameras through V4L2.
 
-use super::negotiation::{self, Agreed, Control, Driver, Given, Intervals, Sizes, failed};
+use super::negotiation::{self, Agreed, Control, Driver, Given, OfferedIntervals, OfferedSizes, failed};
 use super::{Mode, ModeWish};
 use crate::capture::{Captured, LiveSource, Watch};
 use linuxvideo::controls::Cid;
@@ -17,7 +17,8 @@ use std::time::{Duration, Instant};
 const PATIENCE: Duration = Duration::from_secs(5);
 /// Polling interval for images; the driver only reports whether one is available.
 const GLANCE: Duration = Duration::from_millis(1);
-/// Time for the automatic exposure to settle before it is fixed.
+/// Time for the automatic exposure to settle before it is fixed; not measured: longer is safer,
+/// shorter starts sooner.
 const EXPOSURE_SETTLES: Duration = Duration::from_millis(1500);
 /// Lists the cameras of this machine: device path, name and modes.
 pub fn list() -> Vec<(PathBuf, String, Vec<Mode>)> {
@@ -75,12 +76,12 @@ impl Driver for V4l2 {
         formats.map(|description| description.pixel_format().as_fourcc()).collect()
     }
 
-    fn sizes(&self, fourcc: [u8; 4]) -> io::Result<Sizes> {
+    fn sizes(&self, fourcc: [u8; 4]) -> io::Result<OfferedSizes> {
         Ok(match self.idle()?.frame_sizes(PixelFormat::from_fourcc(fourcc))? {
             FrameSizes::Discrete(sizes) => {
-                Sizes::Listed(sizes.iter().map(|size| (size.width(), size.height())).collect())
+                OfferedSizes::Listed(sizes.iter().map(|size| (size.width(), size.height())).collect())
             }
-            FrameSizes::Stepwise(range) | FrameSizes::Continuous(range) => Sizes::Range {
+            FrameSizes::Stepwise(range) | FrameSizes::Continuous(range) => OfferedSizes::Range {
                 least: (range.min_width(), range.min_height()),
                 most: (range.max_width(), range.max_height()),
                 step: (range.step_width(), range.step_height()),
@@ -88,14 +89,14 @@ impl Driver for V4l2 {
         })
     }
 
-    fn intervals(&self, fourcc: [u8; 4], (width, height): (u32, u32)) -> io::Result<Intervals> {
+    fn intervals(&self, fourcc: [u8; 4], (width, height): (u32, u32)) -> io::Result<OfferedIntervals> {
         let intervals = self.idle()?.frame_intervals(PixelFormat::from_fourcc(fourcc), width, height)?;
         Ok(match intervals {
-            FrameIntervals::Discrete(intervals) => {
-                Intervals::Listed(intervals.iter().map(|interval| seconds(*interval.fract())).collect())
-            }
+            FrameIntervals::Discrete(intervals) => OfferedIntervals::Listed(
+                intervals.iter().map(|interval| seconds(*interval.fract())).collect(),
+            ),
             FrameIntervals::Stepwise(range) | FrameIntervals::Continuous(range) => {
-                Intervals::Range { shortest: seconds(*range.min()), longest: seconds(*range.max()) }
+                OfferedIntervals::Range { shortest: seconds(*range.min()), longest: seconds(*range.max()) }
             }
         })
     }

@@ -16,7 +16,7 @@ use std::time::{Duration, Instant};
 /// Time limit for the camera's response, and for each read of an image.
 const PATIENCE: Duration = Duration::from_secs(5);
 /// Maximum length of the response's header section, bytes.
-const MOST_HEAD: u64 = 16 << 10;
+const MAX_HEAD: u64 = 16 << 10;
 
 /// A Motion JPEG stream over HTTP.
 pub struct HttpMjpeg {
@@ -56,7 +56,7 @@ struct FrameClock {
 }
 
 /// Stamps that differ more than this from the arrivals, seconds, are of a clock that was set.
-const MOST_STAMP_ERROR_S: f64 = 1.5;
+const MAX_STAMP_ERROR_S: f64 = 1.5;
 
 impl FrameClock {
     fn time_s(&mut self, arrival_s: f64, stamp_s: Option<f64>) -> f64 {
@@ -68,7 +68,7 @@ impl FrameClock {
             Some(stamp_s) => {
                 let stated_s = stamp_s + *self.shift_s.get_or_insert(modelled_s - stamp_s);
                 let ordered = last_s.is_none_or(|last_s| stated_s > last_s);
-                if ordered && (stated_s - modelled_s).abs() < MOST_STAMP_ERROR_S {
+                if ordered && (stated_s - modelled_s).abs() < MAX_STAMP_ERROR_S {
                     stated_s
                 } else {
                     self.shift_s = Some(modelled_s - stamp_s);
@@ -280,7 +280,7 @@ struct AnswerHead {
 fn answer_head(reader: &mut impl BufRead) -> io::Result<AnswerHead> {
     let mut bytes = Vec::new();
     while !bytes.ends_with(b"\r\n\r\n") && !bytes.ends_with(b"\n\n") {
-        let left = MOST_HEAD.saturating_sub(bytes.len() as u64);
+        let left = MAX_HEAD.saturating_sub(bytes.len() as u64);
         if (&mut *reader).take(left).read_until(b'\n', &mut bytes)? == 0 {
             return Err(io::Error::other("it does not answer as an HTTP server does"));
         }

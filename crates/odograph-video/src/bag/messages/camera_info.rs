@@ -23,7 +23,7 @@ pub(crate) struct CameraInfo {
 }
 
 /// Most coefficients of a lens.
-const MOST_COEFFICIENTS: usize = 64;
+const MAX_COEFFICIENTS: usize = 64;
 
 impl CameraInfo {
     /// Reads a message; `None` if it is cut off.
@@ -32,7 +32,7 @@ impl CameraInfo {
         message.header()?;
         let (height, width) = (message.u32()?, message.u32()?);
         let model = message.string()?.into_owned();
-        let distortion = message.double_sequence(MOST_COEFFICIENTS)?;
+        let distortion = message.double_sequence(MAX_COEFFICIENTS)?;
         let k = message.doubles()?;
         let _rotation: [f64; 9] = message.doubles()?;
         let p = message.doubles()?;

@@ -4,7 +4,7 @@ use super::{RawImage, Role, VideoMessage, VideoPacket, protobuf};
 use crate::bag::cursor::{MessageCursor, Serialization};
 use crate::bag::recording::Topic;
 use crate::bayer::BayerPattern;
-use crate::container::Codec;
+use crate::container::VideoCodec;
 use crate::frame::Picture;
 use crate::guard::guarded;
 use crate::pictures;
@@ -162,14 +162,14 @@ pub(crate) fn video_packet<'a>(topic: &Topic, kind: VideoMessage, data: &'a [u8]
 }
 
 /// The codec by its name: `h264`, `libx264`, `hevc_nvenc`, …
-pub(crate) fn codec(format: &str) -> Codec {
+pub(crate) fn codec(format: &str) -> VideoCodec {
     // What follows a semicolon tells about the pixels before encoding.
     let name = format.split(';').next().unwrap_or("").to_ascii_lowercase();
     match name {
-        name if name.contains("264") || name.contains("avc") => Codec::H264,
-        name if name.contains("265") || name.contains("hevc") => Codec::H265,
-        name if name.contains("vp9") => Codec::Vp9,
-        name if name.contains("jpeg") => Codec::MotionJpeg,
-        name => Codec::Other(name),
+        name if name.contains("264") || name.contains("avc") => VideoCodec::H264,
+        name if name.contains("265") || name.contains("hevc") => VideoCodec::H265,
+        name if name.contains("vp9") => VideoCodec::Vp9,
+        name if name.contains("jpeg") => VideoCodec::MotionJpeg,
+        name => VideoCodec::Other(name),
     }
 }

@@ -1,6 +1,6 @@
 //! Tracking gaps: the camera's velocity around a gap, and dead-reckoned frames within it.
 
-use super::camera_motion::{MeasuredFrame, Step};
+use super::camera_motion::{MeasuredFrame, MotionStep};
 use super::reckoning::{BodyRates, ReckonedPose};
 use crate::filter::smoother::{PoseSource, SmoothedFrame};
 use crate::geometry::pose_index::HEADING;
@@ -25,8 +25,8 @@ const RATES_S: f64 = 0.2;
 
 /// Velocity of the camera just before and just after a gap; if one is unknown, it is set to the
 /// other.
-pub fn rates_around(steps: &[Step], before: usize, after: Option<usize>) -> [BodyRates; 2] {
-    let mean = |steps: &mut dyn Iterator<Item = &Step>| {
+pub fn rates_around(steps: &[MotionStep], before: usize, after: Option<usize>) -> [BodyRates; 2] {
+    let mean = |steps: &mut dyn Iterator<Item = &MotionStep>| {
         let (mut sum, mut duration_s) = (BodyRates::zeros(), 0.0);
         for step in steps {
             if duration_s >= RATES_S {

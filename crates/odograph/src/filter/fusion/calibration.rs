@@ -1,7 +1,7 @@
 //! Calibration of a sensor against the camera (clock offset, scale, bias, mounting, noise), and its
 //! acceptance.
 
-use super::camera_motion::{MeasuredFrame, Step};
+use super::camera_motion::{MeasuredFrame, MotionStep};
 use super::fit::{Fit, ObservationRow, ParameterPrior, TimeOffset, fit, time_offset};
 use super::rejection::Reason;
 use super::series::{Quantity, SensorRecord};
@@ -28,13 +28,13 @@ pub struct Calibrated {
 }
 
 /// Maximum number of observations; more do not improve the estimate.
-const MOST_ROWS: usize = 5000;
+const MAX_ROWS: usize = 5000;
 
 /// Gate on the normalised innovation squared: the 99.9 % quantile of χ² with one degree of freedom.
 pub const CONSISTENT_NIS: f64 = 10.83;
 
 /// Largest fraction of seconds with a contradiction for a sensor to be accepted.
-pub const MOST_CONTRADICTIONS: f64 = 0.2;
+pub const MAX_CONTRADICTIONS: f64 = 0.2;
 
 /// Largest accepted noise of a gyroscope over one second, radians: ten times that of the cheapest
 /// one.
@@ -46,20 +46,20 @@ const WORST_WAY_SHARE: f64 = 0.1;
 
 /// Least excitation: total rotation of the camera to determine the axes of a gyroscope, radians,
 /// and total translation to determine the scale of a wheel, metres.
-const LEAST_TURN_RAD: f64 = 0.3;
-const LEAST_WAY_M: f64 = 0.3;
+const MIN_TURN_RAD: f64 = 0.3;
+const MIN_WAY_M: f64 = 0.3;
 
 /// Least temporal overlap of sensor and camera, seconds.
-const LEAST_S: f64 = 2.0;
+const MIN_S: f64 = 2.0;
 
-fn thinned(steps: &[Step]) -> Vec<Step> {
-    steps.iter().step_by(steps.len().div_ceil(MOST_ROWS).max(1)).copied().collect()
+fn thinned(steps: &[MotionStep]) -> Vec<MotionStep> {
+    steps.iter().step_by(steps.len().div_ceil(MAX_ROWS).max(1)).copied().collect()
 }
 
 /// Calibrates a gyroscope against the camera's heading changes.
-pub fn gyro(record: &SensorRecord, steps: &[Step]) -> Result<Calibrated, Reason> {
+pub fn gyro(record: &SensorRecord, steps: &[MotionStep]) -> Result<Calibrated, Reason> {
     let channels = if record.quantity() == Quantity::TurnRates { 3 } else { 1 };
-    let row = |step: &Step, offset_s: f64| {
+    let row = |step: &MotionStep, offset_s: f64| {
         let mut design = Vector4::new(0.0, 0.0, 0.0, -step.duration_s());
         for channel in 0..channels {
             design[channel] = record.between(channel, step.from_s + offset_s, step.to_s + offset_s)?;
@@ -67,7 +67,7 @@ pub fn gyro(record: &SensorRecord, steps: &[Step]) -> Result<Calibrated, Reason>
         Some(ObservationRow { design, target: step.turn_rad, duration_s: step.duration_s(), second: false })
     };
     let turned_rad: f64 = steps.iter().map(|step| step.turn_rad.abs()).sum();
-    if channels == 3 && turned_rad < LEAST_TURN_RAD {
+    if channels == 3 && turned_rad < MIN_TURN_RAD {
         return Err(Reason::TooLittleTurning);
     }
     // A single axis is vertical, upright or upside down, with a scale error of a few percent; three
@@ -95,8 +95,8 @@ pub fn gyro(record: &SensorRecord, steps: &[Step]) -> Result<Calibrated, Reason>
 }
 
 /// Calibrates a wheel against the camera's translations.
-pub fn wheel(record: &SensorRecord, steps: &[Step]) -> Result<Calibrated, Reason> {
-    let rows = |step: &Step, offset_s: f64| {
+pub fn wheel(record: &SensorRecord, steps: &[MotionStep]) -> Result<Calibrated, Reason> {
+    let rows = |step: &MotionStep, offset_s: f64| {
         let way_m = record.between(0, step.from_s + offset_s, step.to_s + offset_s)?;
         let (turn, duration_s) = (step.turn_rad, step.duration_s());
         let row = |design, target, second| ObservationRow { design, target, duration_s, second };
@@ -106,12 +106,12 @@ pub fn wheel(record: &SensorRecord, steps: &[Step]) -> Result<Calibrated, Reason
         ])
     };
     let moved_m: f64 = steps.iter().map(|step| step.ahead_m.hypot(step.left_m)).sum();
-    if moved_m < LEAST_WAY_M {
+    if moved_m < MIN_WAY_M {
         return Err(Reason::TooLittleMovement);
     }
     let prior = ParameterPrior { mean: Vector4::zeros(), sigma: Vector4::new(10.0, 10.0, 0.5, 0.5) };
     let (found, seconds) = calibrated(steps, 2, &prior, rows)?;
-    let duration_s: f64 = steps.iter().map(Step::duration_s).sum();
+    let duration_s: f64 = steps.iter().map(MotionStep::duration_s).sum();
     let worst_m = WORST_WAY_M + WORST_WAY_SHARE * moved_m / duration_s;
     if found.density.sqrt() > worst_m {
         return Err(contradiction(&seconds, worst_m.powi(2)));
@@ -120,7 +120,7 @@ pub fn wheel(record: &SensorRecord, steps: &[Step]) -> Result<Calibrated, Reason
 }
 
 fn believed(found: Calibrated) -> Result<Calibrated, Reason> {
-    if found.contradictions as f64 > MOST_CONTRADICTIONS * found.seconds as f64 {
+    if found.contradictions as f64 > MAX_CONTRADICTIONS * found.seconds as f64 {
         return Err(Reason::Contradicts { seconds: found.contradictions, of: found.seconds });
     }
     Ok(found)
@@ -150,17 +150,17 @@ impl Seconds {
 /// Estimates clock offset, parameters and noise; `rows` returns `rows_per_step` observations for
 /// each step.
 fn calibrated(
-    steps: &[Step],
+    steps: &[MotionStep],
     rows_per_step: usize,
     prior: &ParameterPrior,
-    rows: impl Fn(&Step, f64) -> Option<Vec<ObservationRow>>,
+    rows: impl Fn(&MotionStep, f64) -> Option<Vec<ObservationRow>>,
 ) -> Result<(Calibrated, Vec<Seconds>), Reason> {
     let few = thinned(steps);
     let all_rows = |offset_s: f64| few.iter().filter_map(|step| rows(step, offset_s)).flatten().collect();
     let offset = time_offset(all_rows, prior, 1.0);
-    let compared: Vec<(Step, Vec<ObservationRow>)> =
+    let compared: Vec<(MotionStep, Vec<ObservationRow>)> =
         steps.iter().filter_map(|step| rows(step, offset.offset_s).map(|rows| (*step, rows))).collect();
-    if compared.iter().map(|(step, _)| step.duration_s()).sum::<f64>() < LEAST_S {
+    if compared.iter().map(|(step, _)| step.duration_s()).sum::<f64>() < MIN_S {
         return Err(Reason::NoOverlap);
     }
     let flat: Vec<ObservationRow> = compared.iter().flat_map(|(_, rows)| rows.iter().copied()).collect();
@@ -204,7 +204,7 @@ fn calibrated(
     Ok((found, (0..count).filter_map(worst).collect()))
 }
 
-fn in_seconds<'a>(residuals: impl Iterator<Item = (&'a Step, f64)>) -> Vec<Seconds> {
+fn in_seconds<'a>(residuals: impl Iterator<Item = (&'a MotionStep, f64)>) -> Vec<Seconds> {
     let mut seconds = Vec::new();
     let mut sum = Seconds { sum: 0.0, duration_s: 0.0 };
     let mut end: Option<(f64, usize)> = None;
@@ -247,83 +247,112 @@ pub struct Sighted {
 /// Averaging window for the estimation of the clock offset, seconds.
 const WINDOW_S: f64 = 0.4;
 
-/// Compares a sensor's reading (times `factor`) with the camera's value at each node; `drift` is
-/// the variance of the camera's value relative to the start.
-fn sighted(
-    record: &SensorRecord,
-    factor: impl Fn(&MeasuredFrame) -> f64,
-    nodes: &[MeasuredFrame],
-    camera: impl Fn(&MeasuredFrame) -> f64,
-    drift: impl Fn(&MeasuredFrame) -> f64,
-) -> Result<Sighted, Reason> {
-    // The clock offset is estimated from window averages: values interpolated between two samples
-    // have less noise than the samples, which would bias the offset.
-    let mean = |node: &MeasuredFrame, time_s: f64| {
-        let (from_s, to_s) = (time_s - 0.5 * WINDOW_S, time_s + 0.5 * WINDOW_S);
-        record.between(0, from_s, to_s).map(|sum| factor(node) * sum / WINDOW_S)
-    };
-    let reading = |node: &MeasuredFrame, time_s: f64| record.at(0, time_s).map(|z| factor(node) * z);
-    let stride = nodes.len().div_ceil(MOST_ROWS).max(1);
-    let spacing_s = match nodes {
-        [first, .., last] => (last.time_s - first.time_s) / (nodes.len() - 1) as f64 * stride as f64,
-        _ => WINDOW_S,
-    };
-    let nothing = ParameterPrior { mean: Vector4::zeros(), sigma: Vector4::repeat(1.0) };
-    // Differences over one second cancel the sensor's bias and the camera's drift.
-    let rows = |offset_s: f64| {
-        let read = nodes.iter().step_by(stride);
-        let differences: Vec<(&MeasuredFrame, f64)> = read
-            .filter_map(|node| mean(node, node.time_s + offset_s).map(|z| (node, z - camera(node))))
+/// A sensor that measures a state of the camera, and the camera's own values.
+struct StateComparison<'a> {
+    record: &'a SensorRecord,
+    nodes: &'a [MeasuredFrame],
+    /// Factor of the reading at a node.
+    factor: &'a dyn Fn(&MeasuredFrame) -> f64,
+    /// The camera's value at a node.
+    camera: &'a dyn Fn(&MeasuredFrame) -> f64,
+    /// Variance of the camera's value relative to the start.
+    drift: &'a dyn Fn(&MeasuredFrame) -> f64,
+}
+
+impl StateComparison<'_> {
+    fn sighted(&self) -> Result<Sighted, Reason> {
+        let offset = self.time_offset();
+        let (mut sights, mut scatters) = self.averaged(offset.offset_s);
+        if (sights.len() as f64) < MIN_S {
+            return Err(Reason::NoOverlap);
+        }
+        // Samples within a quarter of a second are counted as one, because their errors are
+        // correlated.
+        let scatter = median(&mut scatters).unwrap_or(0.0) / 4.0;
+        let lasting = [1, 4, 16].map(|length| self.allan_variance(&sights, length));
+        let variance = lasting.into_iter().fold(scatter.max(1e-10), f64::max);
+        sights.iter_mut().for_each(|sight| sight.variance = variance);
+        Ok(Sighted { offset, sights, sigma: variance.sqrt(), single: variance.max(4.0 * scatter) })
+    }
+
+    /// The clock offset, from window averages: values interpolated between two samples have less
+    /// noise than the samples, which would bias the offset.
+    fn time_offset(&self) -> TimeOffset {
+        let Self { record, nodes, factor, camera, .. } = *self;
+        let mean = |node: &MeasuredFrame, time_s: f64| {
+            let (from_s, to_s) = (time_s - 0.5 * WINDOW_S, time_s + 0.5 * WINDOW_S);
+            record.between(0, from_s, to_s).map(|sum| factor(node) * sum / WINDOW_S)
+        };
+        let stride = nodes.len().div_ceil(MAX_ROWS).max(1);
+        let spacing_s = match nodes {
+            [first, .., last] => (last.time_s - first.time_s) / (nodes.len() - 1) as f64 * stride as f64,
+            _ => WINDOW_S,
+        };
+        let nothing = ParameterPrior { mean: Vector4::zeros(), sigma: Vector4::repeat(1.0) };
+        // Differences over one second cancel the sensor's bias and the camera's drift.
+        let rows = |offset_s: f64| {
+            let read = nodes.iter().step_by(stride);
+            let differences: Vec<(&MeasuredFrame, f64)> = read
+                .filter_map(|node| mean(node, node.time_s + offset_s).map(|z| (node, z - camera(node))))
+                .collect();
+            let mut earlier = 0;
+            let mut rows = Vec::with_capacity(differences.len());
+            for (node, difference) in &differences {
+                while differences[earlier].0.time_s <= node.time_s - 1.0 {
+                    earlier += 1;
+                }
+                let (before, then) = &differences[earlier.saturating_sub(1)];
+                if earlier > 0 && before.segment == node.segment {
+                    rows.push(ObservationRow {
+                        design: Vector4::zeros(),
+                        target: difference - then,
+                        duration_s: 1.0,
+                        second: false,
+                    });
+                }
+            }
+            rows
+        };
+        time_offset(rows, &nothing, (spacing_s / WINDOW_S).min(1.0))
+    }
+
+    /// Readings averaged over a second, their variances still unknown, and the variance of the
+    /// samples within each.
+    fn averaged(&self, offset_s: f64) -> (Vec<Sight>, Vec<f64>) {
+        let Self { record, nodes, factor, camera, .. } = *self;
+        let reading = |node: &MeasuredFrame, time_s: f64| record.at(0, time_s).map(|z| factor(node) * z);
+        let read: Vec<(usize, f64)> = nodes
+            .iter()
+            .enumerate()
+            .filter_map(|(i, node)| reading(node, node.time_s + offset_s).map(|z| (i, z - camera(node))))
             .collect();
-        let mut earlier = 0;
-        let mut rows = Vec::with_capacity(differences.len());
-        for (node, difference) in &differences {
-            while differences[earlier].0.time_s <= node.time_s - 1.0 {
-                earlier += 1;
+        let (mut sights, mut scatters) = (Vec::new(), Vec::new());
+        let mut start = 0;
+        for end in 1..=read.len() {
+            let (first, last) = (&nodes[read[start].0], &nodes[read[end - 1].0]);
+            let next = read.get(end).map(|(i, _)| &nodes[*i]);
+            let full =
+                next.is_none_or(|next| next.segment != first.segment || next.time_s - first.time_s >= 1.0);
+            if !full {
+                continue;
             }
-            let (before, then) = &differences[earlier.saturating_sub(1)];
-            if earlier > 0 && before.segment == node.segment {
-                rows.push(ObservationRow {
-                    design: Vector4::zeros(),
-                    target: difference - then,
-                    duration_s: 1.0,
-                    second: false,
-                });
+            let mean = read[start..end].iter().map(|(_, z)| z).sum::<f64>() / (end - start) as f64;
+            let node = read[(start + end) / 2].0;
+            if last.time_s - first.time_s >= 0.5 {
+                sights.push(Sight { node, reading: mean + camera(&nodes[node]), variance: 0.0 });
+                let square = read[start..end].iter().map(|(_, z)| (z - mean).powi(2)).sum::<f64>();
+                scatters.push(square / (end - start) as f64);
             }
+            start = end;
         }
-        rows
-    };
-    let offset = time_offset(rows, &nothing, (spacing_s / WINDOW_S).min(1.0));
-    let read: Vec<(usize, f64)> = nodes
-        .iter()
-        .enumerate()
-        .filter_map(|(i, node)| reading(node, node.time_s + offset.offset_s).map(|z| (i, z - camera(node))))
-        .collect();
-    let (mut sights, mut scatters) = (Vec::new(), Vec::new());
-    let mut start = 0;
-    for end in 1..=read.len() {
-        let (first, last) = (&nodes[read[start].0], &nodes[read[end - 1].0]);
-        let next = read.get(end).map(|(i, _)| &nodes[*i]);
-        let full = next.is_none_or(|next| next.segment != first.segment || next.time_s - first.time_s >= 1.0);
-        if !full {
-            continue;
-        }
-        let mean = read[start..end].iter().map(|(_, z)| z).sum::<f64>() / (end - start) as f64;
-        let node = read[(start + end) / 2].0;
-        if last.time_s - first.time_s >= 0.5 {
-            sights.push(Sight { node, reading: mean + camera(&nodes[node]), variance: 0.0 });
-            let square = read[start..end].iter().map(|(_, z)| (z - mean).powi(2)).sum::<f64>();
-            scatters.push(square / (end - start) as f64);
-        }
-        start = end;
+        (sights, scatters)
     }
-    if (sights.len() as f64) < LEAST_S {
-        return Err(Reason::NoOverlap);
-    }
-    // Allan variance (D. Allan, "Statistics of atomic frequency standards", 1966) over 1, 4 and 16
-    // readings, scaled to one reading, so that correlated errors have more weight. The part
-    // explained by the camera's own drift is subtracted.
-    let lasting = |length: usize| {
+
+    /// Allan variance (D. Allan, "Statistics of atomic frequency standards", 1966) over `length`
+    /// readings, scaled to one reading, so that correlated errors have more weight. The part
+    /// explained by the camera's own drift is subtracted.
+    fn allan_variance(&self, sights: &[Sight], length: usize) -> f64 {
+        let Self { nodes, camera, drift, .. } = *self;
         let means: Vec<(&MeasuredFrame, f64)> = sights
             .chunks_exact(length)
             .map(|chunk| {
@@ -343,12 +372,7 @@ fn sighted(
         let count = changes.len().max(1) as f64;
         let drift = drifts.iter().sum::<f64>() / count * (1.0 + 3.0 * (2.0 / count).sqrt());
         0.5 * length as f64 * (normal_sigma(&changes).powi(2) - drift)
-    };
-    // Samples within a quarter of a second are counted as one, because their errors are correlated.
-    let scatter = median(&mut scatters).unwrap_or(0.0) / 4.0;
-    let variance = [1, 4, 16].map(lasting).into_iter().fold(scatter.max(1e-10), f64::max);
-    sights.iter_mut().for_each(|sight| sight.variance = variance);
-    Ok(Sighted { offset, sights, sigma: variance.sqrt(), single: variance.max(4.0 * scatter) })
+    }
 }
 
 /// Subtracts the median of each segment from its values, because the sensor's bias is unknown.
@@ -370,17 +394,23 @@ const WORST_HEIGHT_SHARE: f64 = 0.05;
 
 /// Calibrates a compass against the camera's heading.
 pub fn heading(record: &SensorRecord, nodes: &[MeasuredFrame]) -> Result<Sighted, Reason> {
-    let found = sighted(record, |_| 1.0, nodes, |node| node.heading_rad, |node| node.carried[(2, 2)])?;
-    within(found, nodes, |node| node.heading_rad, WORST_HEADING_RAD)
+    let camera = |node: &MeasuredFrame| node.heading_rad;
+    let drift = |node: &MeasuredFrame| node.carried[(2, 2)];
+    let found =
+        StateComparison { record, nodes, factor: &|_| 1.0, camera: &camera, drift: &drift }.sighted()?;
+    within(found, nodes, camera, WORST_HEADING_RAD)
 }
 
 /// Calibrates a range finder against the camera's height.
 pub fn range(record: &SensorRecord, nodes: &[MeasuredFrame]) -> Result<Sighted, Reason> {
     let along_axis = record.quantity() == Quantity::AxisDistance;
     let factor = |node: &MeasuredFrame| if along_axis { node.tilt_cosine } else { 1.0 };
-    let found = sighted(record, factor, nodes, |node| node.height_m, |node| node.height_variance)?;
+    let camera = |node: &MeasuredFrame| node.height_m;
+    let drift = |node: &MeasuredFrame| node.height_variance;
+    let found =
+        StateComparison { record, nodes, factor: &factor, camera: &camera, drift: &drift }.sighted()?;
     let height_m = nodes.iter().map(|node| node.height_m).sum::<f64>() / nodes.len().max(1) as f64;
-    within(found, nodes, |node| node.height_m, WORST_HEIGHT_SHARE * height_m)
+    within(found, nodes, camera, WORST_HEIGHT_SHARE * height_m)
 }
 
 fn within(

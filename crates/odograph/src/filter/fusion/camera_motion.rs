@@ -27,7 +27,7 @@ pub struct MeasuredFrame {
 
 /// Motion from one measured frame to the next of the same segment.
 #[derive(Debug, Clone, Copy)]
-pub struct Step {
+pub struct MotionStep {
     /// Index of the first node.
     pub from: usize,
     pub from_s: f64,
@@ -40,7 +40,7 @@ pub struct Step {
     pub segment: usize,
 }
 
-impl Step {
+impl MotionStep {
     pub fn duration_s(&self) -> f64 {
         self.to_s - self.from_s
     }
@@ -72,7 +72,7 @@ pub fn nodes(frames: &[FrameEstimate]) -> Vec<MeasuredFrame> {
 }
 
 /// Motions between consecutive nodes of one segment, except across intervals of more than a second.
-pub fn steps(nodes: &[MeasuredFrame]) -> Vec<Step> {
+pub fn steps(nodes: &[MeasuredFrame]) -> Vec<MotionStep> {
     let pairs = nodes.windows(2).enumerate();
     let connected = pairs
         .filter(|(_, pair)| pair[0].segment == pair[1].segment && pair[1].time_s - pair[0].time_s <= 1.0);
@@ -83,7 +83,7 @@ pub fn steps(nodes: &[MeasuredFrame]) -> Vec<Step> {
             // Midpoint rule: the chord of a short arc has the mean of the two headings.
             let half_way = Se2::new(a.x_m, a.y_m, a.heading_rad + 0.5 * turn_rad);
             let chord = half_way.between(&Se2::new(b.x_m, b.y_m, b.heading_rad));
-            Step {
+            MotionStep {
                 from,
                 from_s: a.time_s,
                 to_s: b.time_s,

@@ -99,7 +99,7 @@ pub struct TimeOffset {
 }
 
 /// Largest clock offset that is searched, seconds.
-pub const MOST_OFFSET_S: f64 = 1.0;
+pub const MAX_OFFSET_S: f64 = 1.0;
 
 /// Step of the grid search, seconds: a tenth of the period of a 5 Hz oscillation.
 const COARSE_S: f64 = 0.02;
@@ -116,7 +116,7 @@ pub fn time_offset(
     independent: f64,
 ) -> TimeOffset {
     let unknown = TimeOffset { offset_s: 0.0, sigma_s: f64::INFINITY };
-    let steps = (MOST_OFFSET_S / COARSE_S).round() as i32;
+    let steps = (MAX_OFFSET_S / COARSE_S).round() as i32;
     let looks: Vec<(f64, usize, Fit)> = (-steps..=steps)
         .map(|i| {
             let offset_s = f64::from(i) * COARSE_S;

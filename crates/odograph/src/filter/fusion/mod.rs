@@ -24,7 +24,7 @@ mod rejection;
 mod report;
 mod series;
 
-pub use fit::{MOST_OFFSET_S, TimeOffset};
+pub use fit::{MAX_OFFSET_S, TimeOffset};
 pub use rejection::Reason;
 pub use report::{SensorKind, SensorParameter, SensorReport};
 pub use series::{Quantity, SensorRecord};
@@ -35,8 +35,8 @@ use crate::geometry::pose_index::HEIGHT;
 use crate::geometry::{GroundPose, PlaneTransform, Se2, Sim2, propagated};
 use crate::trajectory::FrameEstimate;
 use bridge::{Bridge, rates_around};
-use calibration::{MOST_CONTRADICTIONS, Sighted};
-use camera_motion::{MeasuredFrame, Step};
+use calibration::{MAX_CONTRADICTIONS, Sighted};
+use camera_motion::{MeasuredFrame, MotionStep};
 use estimator::{Consistency, Corrected, Estimate};
 use reckoning::{Believed, TrackingGap};
 use report::{gyro_report, sighted_report, wheel_report};
@@ -217,7 +217,7 @@ fn believed<'a, T>(
 
 fn contradicts(consistency: &Consistency) -> Option<Reason> {
     let Consistency { readings, contradictions, .. } = *consistency;
-    (contradictions as f64 > MOST_CONTRADICTIONS * readings as f64)
+    (contradictions as f64 > MAX_CONTRADICTIONS * readings as f64)
         .then_some(Reason::Contradicts { seconds: contradictions, of: readings })
 }
 
@@ -228,7 +228,7 @@ impl AcceptedSensors<'_> {
         &self,
         frames: &[FrameEstimate],
         nodes: &[MeasuredFrame],
-        steps: &[Step],
+        steps: &[MotionStep],
     ) -> Option<(Estimate, Vec<Bridge>)> {
         let Believed { gyro, wheel, .. } = self.believed;
         if nodes.is_empty()
@@ -298,9 +298,9 @@ fn corrected(
             let (dx, dy) = turned(x - node.x_m, y - node.y_m);
             (x_m + dx, y_m + dy)
         };
-        moved |= (x_m - node.x_m).hypot(y_m - node.y_m) > LEAST_MOVE_M
-            || turn_rad.abs() > LEAST_TURN_RAD
-            || (scale - 1.0).abs() > LEAST_TURN_RAD;
+        moved |= (x_m - node.x_m).hypot(y_m - node.y_m) > MIN_MOVE_M
+            || turn_rad.abs() > MIN_TURN_RAD
+            || (scale - 1.0).abs() > MIN_TURN_RAD;
         let (pose, plane, velocity) = (&mut known.pose, &mut known.measured, &mut known.velocity);
         (pose.x_m, pose.y_m) = place(pose.x_m, pose.y_m);
         (plane.x_m, plane.y_m) = place(plane.x_m, plane.y_m);
@@ -327,8 +327,8 @@ fn corrected(
 }
 
 /// Corrections below 0.1 µm or 0.1 µrad are rounding.
-const LEAST_MOVE_M: f64 = 1e-7;
-const LEAST_TURN_RAD: f64 = 1e-7;
+const MIN_MOVE_M: f64 = 1e-7;
+const MIN_TURN_RAD: f64 = 1e-7;
 
 #[cfg(test)]
 mod tests;

@@ -39,14 +39,24 @@ pub struct ReckonedPose {
 /// less than 1e-4.
 const STEP_S: f64 = 0.01;
 
-/// Longest gap that is dead-reckoned, seconds.
+/// Longest gap that is dead-reckoned, seconds: bounds the work for a recording with a pause.
 const LONGEST_S: f64 = 600.0;
 
 /// Jacobian of the pose with respect to the calibration parameters of both sensors: scale factors
 /// (3) and bias of the gyroscope, then the four of the wheel.
 type Jacobian = SMatrix<f64, 3, 8>;
 
-impl Believed<'_> {
+/// Uncertainty of a dead-reckoned path.
+struct ReckoningNoise {
+    /// Covariance of the parameters of [`Jacobian`].
+    parameters: SMatrix<f64, 8, 8>,
+    /// Covariance of the pose that does not grow with time.
+    constant: Matrix3<f64>,
+    /// Variance of (forward, left, heading) per second.
+    density: Vector3<f64>,
+}
+
+impl<'a> Believed<'a> {
     /// Dead-reckoned poses at `times_s` (increasing, within the gap) and at its end. `None` if no
     /// sensor covers the gap.
     ///
@@ -58,39 +68,8 @@ impl Believed<'_> {
         if to_s - from_s > LONGEST_S {
             return None;
         }
-        let covers = |record: &SensorRecord, offset_s: f64| {
-            record.between(0, from_s + offset_s, to_s + offset_s).is_some()
-        };
-        let gyro = self.gyro.filter(|(record, known)| covers(record, known.offset.offset_s));
-        let wheel = self.wheel.filter(|(record, known)| covers(record, known.offset.offset_s));
-        let heading =
-            self.heading.filter(|(record, known)| gyro.is_none() && covers(record, known.offset.offset_s));
-        if gyro.is_none() && wheel.is_none() && heading.is_none() {
-            return None;
-        }
-        let mut parameters = SMatrix::<f64, 8, 8>::zeros();
-        let (mut turn_density, mut way_density) = (0.0, 0.0);
-        let mut noise = Matrix3::zeros();
-        let fastest = |axis: usize| gap.before[axis].abs().max(gap.after[axis].abs());
-        match (gyro, heading) {
-            (Some((_, known)), _) => {
-                parameters.fixed_view_mut::<4, 4>(0, 0).copy_from(&known.covariance);
-                turn_density = known.density;
-            }
-            (None, Some((_, known))) => noise[(2, 2)] = 2.0 * known.single,
-            (None, None) => parameters[(3, 3)] = (0.5 * fastest(2) + 0.1).powi(2),
-        }
-        match wheel {
-            Some((_, known)) => {
-                parameters.fixed_view_mut::<4, 4>(4, 4).copy_from(&known.covariance);
-                way_density = known.density;
-            }
-            None => {
-                let variance = (0.5 * fastest(0).hypot(fastest(1)) + 0.1).powi(2);
-                parameters[(4, 4)] = variance;
-                parameters[(5, 5)] = variance;
-            }
-        }
+        let sensors = self.covering(gap)?;
+        let ReckoningNoise { parameters, constant: mut noise, density } = sensors.noise(gap);
         let mut pose = Vector3::<f64>::zeros();
         let mut jacobian = Jacobian::zeros();
         let mut now_s = from_s;
@@ -100,56 +79,17 @@ impl Believed<'_> {
             let start_s = now_s;
             for i in 0..count {
                 let next_s = start_s + (time_s - start_s) * (i + 1) as f64 / count as f64;
-                let duration_s = next_s - now_s;
                 let share = (0.5 * (now_s + next_s) - from_s) / (to_s - from_s);
                 let rates = gap.before + share * (gap.after - gap.before);
                 let mut by_parameters = Jacobian::zeros();
-                let turn = match (gyro, heading) {
-                    (Some((record, known)), _) => {
-                        let offset_s = known.offset.offset_s;
-                        let channels = if record.quantity() == Quantity::TurnRates { 3 } else { 1 };
-                        let mut turn = -known.parameters[3] * duration_s;
-                        by_parameters[(2, 3)] = -duration_s;
-                        for channel in 0..channels {
-                            let angle = record.between(channel, now_s + offset_s, next_s + offset_s)?;
-                            by_parameters[(2, channel)] = angle;
-                            turn += known.parameters[channel] * angle;
-                        }
-                        turn
-                    }
-                    (None, Some((record, known))) => {
-                        let offset_s = known.offset.offset_s;
-                        record.at(0, next_s + offset_s)? - record.at(0, now_s + offset_s)?
-                    }
-                    (None, None) => {
-                        by_parameters[(2, 3)] = -duration_s;
-                        rates[2] * duration_s
-                    }
-                };
-                let (ahead, left) = match wheel {
-                    Some((record, known)) => {
-                        let offset_s = known.offset.offset_s;
-                        let way = record.between(0, now_s + offset_s, next_s + offset_s)?;
-                        let p = &known.parameters;
-                        by_parameters[(0, 4)] = way;
-                        by_parameters[(0, 7)] = -turn;
-                        by_parameters[(1, 5)] = way;
-                        by_parameters[(1, 6)] = turn;
-                        (p[0] * way - p[3] * turn, p[1] * way + p[2] * turn)
-                    }
-                    None => {
-                        by_parameters[(0, 4)] = duration_s;
-                        by_parameters[(1, 5)] = duration_s;
-                        (rates[0] * duration_s, rates[1] * duration_s)
-                    }
-                };
+                let turn = sensors.turn((now_s, next_s), &rates, &mut by_parameters)?;
+                let (ahead, left) = sensors.advance((now_s, next_s), &rates, turn, &mut by_parameters)?;
                 let half_way = Se2::rotation(pose[HEADING] + 0.5 * turn);
                 let (dx, dy) = half_way.rotate(ahead, left);
                 let carry = Se2::lever_arm(dx, dy);
                 // Midpoint rule: half of the heading error acts on the direction of this step.
                 let turned = Se2::lever_arm(0.5 * dx, 0.5 * dy) * half_way.product_by_right();
-                let own = Matrix3::from_diagonal(&Vector3::new(way_density, way_density, turn_density))
-                    * duration_s;
+                let own = Matrix3::from_diagonal(&density) * (next_s - now_s);
                 noise = propagated(&carry, &noise) + propagated(&turned, &own);
                 jacobian = carry * jacobian + turned * by_parameters;
                 pose += Vector3::new(dx, dy, turn);
@@ -158,5 +98,106 @@ impl Believed<'_> {
             reckoned.push(ReckonedPose { pose, covariance: noise + propagated(&jacobian, &parameters) });
         }
         Some(reckoned)
+    }
+
+    /// The sensors that cover a gap; a compass only without a gyroscope. `None` if none does.
+    fn covering(&self, gap: &TrackingGap) -> Option<Believed<'a>> {
+        let covers = |record: &SensorRecord, offset_s: f64| {
+            record.between(0, gap.from_s + offset_s, gap.to_s + offset_s).is_some()
+        };
+        let gyro = self.gyro.filter(|(record, known)| covers(record, known.offset.offset_s));
+        let wheel = self.wheel.filter(|(record, known)| covers(record, known.offset.offset_s));
+        let heading =
+            self.heading.filter(|(record, known)| gyro.is_none() && covers(record, known.offset.offset_s));
+        (gyro.is_some() || wheel.is_some() || heading.is_some()).then_some(Self { gyro, heading, wheel })
+    }
+
+    fn noise(&self, gap: &TrackingGap) -> ReckoningNoise {
+        let mut parameters = SMatrix::<f64, 8, 8>::zeros();
+        let (mut turn_density, mut path_density) = (0.0, 0.0);
+        let mut constant = Matrix3::zeros();
+        let fastest = |axis: usize| gap.before[axis].abs().max(gap.after[axis].abs());
+        match (self.gyro, self.heading) {
+            (Some((_, known)), _) => {
+                parameters.fixed_view_mut::<4, 4>(0, 0).copy_from(&known.covariance);
+                turn_density = known.density;
+            }
+            (None, Some((_, known))) => constant[(2, 2)] = 2.0 * known.single,
+            (None, None) => parameters[(3, 3)] = (0.5 * fastest(2) + 0.1).powi(2),
+        }
+        match self.wheel {
+            Some((_, known)) => {
+                parameters.fixed_view_mut::<4, 4>(4, 4).copy_from(&known.covariance);
+                path_density = known.density;
+            }
+            None => {
+                let variance = (0.5 * fastest(0).hypot(fastest(1)) + 0.1).powi(2);
+                parameters[(4, 4)] = variance;
+                parameters[(5, 5)] = variance;
+            }
+        }
+        let density = Vector3::new(path_density, path_density, turn_density);
+        ReckoningNoise { parameters, constant, density }
+    }
+
+    /// Change of heading within a step, radians. `None` where the sensor has a gap of its own.
+    fn turn(
+        &self,
+        (from_s, to_s): (f64, f64),
+        rates: &BodyRates,
+        by_parameters: &mut Jacobian,
+    ) -> Option<f64> {
+        let duration_s = to_s - from_s;
+        Some(match (self.gyro, self.heading) {
+            (Some((record, known)), _) => {
+                let offset_s = known.offset.offset_s;
+                let channels = if record.quantity() == Quantity::TurnRates { 3 } else { 1 };
+                let mut turn = -known.parameters[3] * duration_s;
+                by_parameters[(2, 3)] = -duration_s;
+                for channel in 0..channels {
+                    let angle = record.between(channel, from_s + offset_s, to_s + offset_s)?;
+                    by_parameters[(2, channel)] = angle;
+                    turn += known.parameters[channel] * angle;
+                }
+                turn
+            }
+            (None, Some((record, known))) => {
+                let offset_s = known.offset.offset_s;
+                record.at(0, to_s + offset_s)? - record.at(0, from_s + offset_s)?
+            }
+            (None, None) => {
+                by_parameters[(2, 3)] = -duration_s;
+                rates[2] * duration_s
+            }
+        })
+    }
+
+    /// Displacement forward and to the left within a step that turns by `turn`, metres. `None`
+    /// where the sensor has a gap of its own.
+    fn advance(
+        &self,
+        (from_s, to_s): (f64, f64),
+        rates: &BodyRates,
+        turn: f64,
+        by_parameters: &mut Jacobian,
+    ) -> Option<(f64, f64)> {
+        let duration_s = to_s - from_s;
+        Some(match self.wheel {
+            Some((record, known)) => {
+                let offset_s = known.offset.offset_s;
+                let distance = record.between(0, from_s + offset_s, to_s + offset_s)?;
+                let p = &known.parameters;
+                by_parameters[(0, 4)] = distance;
+                by_parameters[(0, 7)] = -turn;
+                by_parameters[(1, 5)] = distance;
+                by_parameters[(1, 6)] = turn;
+                (p[0] * distance - p[3] * turn, p[1] * distance + p[2] * turn)
+            }
+            None => {
+                by_parameters[(0, 4)] = duration_s;
+                by_parameters[(1, 5)] = duration_s;
+                (rates[0] * duration_s, rates[1] * duration_s)
+            }
+        })
     }
 }

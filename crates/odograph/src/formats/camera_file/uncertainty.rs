@@ -32,7 +32,7 @@ pub fn parse_uncertainty(text: &str) -> Result<Option<CameraUncertainty>> {
     };
     let names: Vec<String> = items.iter().map(name).collect::<Option<_>>().ok_or_else(not_names)?;
     let n = names.len();
-    if n > MOST_PARAMETERS || covariance.len() != n * n {
+    if n > MAX_PARAMETERS || covariance.len() != n * n {
         return Err(Error::input(format!(
             "parameter_covariance has {} numbers for {n} parameters; it must have {n} x {n}",
             covariance.len()
@@ -42,4 +42,4 @@ pub fn parse_uncertainty(text: &str) -> Result<Option<CameraUncertainty>> {
 }
 
 /// Largest accepted number of parameters, far beyond any camera model.
-const MOST_PARAMETERS: usize = 64;
+const MAX_PARAMETERS: usize = 64;

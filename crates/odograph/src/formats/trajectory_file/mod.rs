@@ -13,7 +13,6 @@ pub use frames_csv::{FRAMES_HEADER, SMOOTHED_HEADER, csv_from_frames, frame_line
 
 use crate::error::{Error, Result};
 use crate::pose_frame::PoseFrame;
-use crate::trajectory::FrameEstimate;
 use nalgebra::{Isometry3, Matrix3, Quaternion, Rotation3, Translation3, UnitQuaternion};
 use std::fmt::Write;
 
@@ -92,11 +91,6 @@ pub fn tum_line(pose: &StampedPose) -> String {
         "{:.9} {:.9} {:.9} {:.9} {:.12} {:.12} {:.12} {:.12}\n",
         pose.time_s, t.x, t.y, t.z, q.x, q.y, q.z, q.w
     )
-}
-
-/// Writes the frames that have a pose in TUM format ([`write_tum`]).
-pub fn tum_from_frames(frames: &[FrameEstimate]) -> String {
-    write_tum(&Trajectory::from_frames(frames))
 }
 
 /// Reads a KITTI trajectory. Without `times_s` the time of a pose is its index from 0, in

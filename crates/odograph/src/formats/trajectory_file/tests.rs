@@ -1,6 +1,6 @@
 use super::*;
 use crate::geometry::GroundPose;
-use crate::trajectory::{LossReason, PlaneMeasurement, PoseEstimate, TrackStatus, Velocity};
+use crate::trajectory::{FrameEstimate, LossReason, PlaneMeasurement, PoseEstimate, TrackStatus, Velocity};
 use nalgebra::{Matrix6, Vector3};
 use proptest::prelude::*;
 
@@ -54,7 +54,7 @@ fn unknown_quantities_have_empty_cells() {
 
 #[test]
 fn only_frames_with_a_pose_are_written_as_tum() {
-    let text = tum_from_frames(&frames());
+    let text = write_tum(&Trajectory::from_frames(&frames()));
     let back = parse_tum(&text).unwrap();
     assert_eq!(back.poses.len(), 1);
     let pose = GroundPose::from_world_from_camera(&back.poses[0].world_from_camera);

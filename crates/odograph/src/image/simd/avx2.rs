@@ -1,7 +1,7 @@
 //! Hand-written AVX2 kernels: sampling and decimation, eight samples at a time.
 
 use super::scalar::{self, row_start, rows_about, total};
-use super::{Appearance, Grid, PATCH_SIDE, Patch, PatchSums, rows_about_neighbours};
+use super::{Grid, PATCH_SIDE, Patch, PatchSums, TemplateSamples, rows_about_neighbours};
 use crate::image::GrayImage;
 use std::arch::x86_64::*;
 
@@ -24,7 +24,7 @@ pub fn sample_patch(image: &GrayImage, grid: &Grid, samples: &mut Patch) {
 pub fn sample_and_multiply(
     image: &GrayImage,
     grid: &Grid,
-    appearance: &Appearance,
+    appearance: &TemplateSamples,
     samples: &mut Patch,
 ) -> [f64; 3] {
     let sampler = Sampler::new(image, grid);
@@ -95,7 +95,7 @@ impl<'a> Sampler<'a> {
     fn multiply<const ROWS: usize>(
         &self,
         grid: &Grid,
-        appearance: &Appearance,
+        appearance: &TemplateSamples,
         samples: &mut Patch,
     ) -> [f64; 3] {
         let factors = [&appearance.contrast, &appearance.gradient_x, &appearance.gradient_y];

@@ -5,7 +5,7 @@
 //! order.
 
 use super::scalar::{row_start, total};
-use super::{Appearance, Grid, PATCH_SIDE, Patch, Shift, rows_about_neighbours};
+use super::{Grid, PATCH_SIDE, Patch, Shift, TemplateSamples, rows_about_neighbours};
 use crate::image::GrayImage;
 use std::arch::x86_64::*;
 
@@ -48,7 +48,7 @@ pub fn sample_and_multiply(
     image: &GrayImage,
     grid: &Grid,
     rows: usize,
-    appearance: &Appearance,
+    appearance: &TemplateSamples,
     samples: &mut Patch,
 ) -> [f64; 3] {
     let sampler = Sampler512::new(image, grid);
@@ -64,7 +64,7 @@ pub fn sample_and_multiply(
 pub fn multiply_shifted(
     image: &GrayImage,
     shift: &Shift,
-    appearance: &Appearance,
+    appearance: &TemplateSamples,
     samples: &mut Patch,
 ) -> [f64; 3] {
     let (fx, fy) = (_mm512_set1_ps(shift.fx), _mm512_set1_ps(shift.fy));
@@ -100,7 +100,7 @@ struct ColumnProducts512<'a> {
 impl<'a> ColumnProducts512<'a> {
     #[inline]
     #[target_feature(enable = "avx512f")]
-    fn new(appearance: &'a Appearance) -> Self {
+    fn new(appearance: &'a TemplateSamples) -> Self {
         Self {
             contrast: appearance.contrast.as_chunks().0,
             gradient_x: appearance.gradient_x.as_chunks().0,
@@ -161,7 +161,7 @@ impl<'a> Sampler512<'a> {
     fn multiply<const ROWS: usize>(
         &self,
         grid: &Grid,
-        appearance: &Appearance,
+        appearance: &TemplateSamples,
         samples: &mut Patch,
     ) -> [f64; 3] {
         let mut products = ColumnProducts512::new(appearance);

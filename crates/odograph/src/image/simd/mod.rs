@@ -50,13 +50,13 @@ pub struct Grid {
 /// of the products with an image.
 #[derive(Debug, Clone)]
 #[repr(align(32))]
-pub struct Appearance {
+pub struct TemplateSamples {
     pub contrast: Patch,
     pub gradient_x: Patch,
     pub gradient_y: Patch,
 }
 
-impl Appearance {
+impl TemplateSamples {
     /// All zero.
     pub const ZERO: Self = {
         let zero = [0.0; PATCH_SIDE * PATCH_SIDE];
@@ -203,7 +203,7 @@ widened! {
 widened! {
     /// [`sample_and_multiply`] of a purely translated grid.
     multiply_shifted(
-        image: &GrayImage, shift: &Shift, appearance: &Appearance, samples: &mut Patch,
+        image: &GrayImage, shift: &Shift, appearance: &TemplateSamples, samples: &mut Patch,
     ) -> [f64; 3]
 }
 
@@ -212,7 +212,7 @@ widened! {
 pub fn sample_and_multiply(
     image: &GrayImage,
     grid: &Grid,
-    appearance: &Appearance,
+    appearance: &TemplateSamples,
     samples: &mut Patch,
 ) -> [f64; 3] {
     assert!(image.width() >= 2 && image.height() >= 2, "a patch is sampled between four samples");
@@ -346,14 +346,14 @@ widened! {
     /// Products of the second differences along x and along y of the patch whose first sample is
     /// (`left`, `top`) with the gradients of its template: along x with both gradients, then along
     /// y. Reads a border of one sample around the patch; panics where that is outside the image.
-    bend_products(image: &GrayImage, left: usize, top: usize, appearance: &Appearance) -> [[f64; 2]; 2]
+    bend_products(image: &GrayImage, left: usize, top: usize, appearance: &TemplateSamples) -> [[f64; 2]; 2]
 }
 
 widened! {
     /// Contrast and central differences (gray levels per pixel) of the patch whose first sample is
     /// (`left`, `top`), orthogonalised by `less`. Reads a border of one sample around the patch;
     /// panics where that is outside the image.
-    write_appearance(image: &GrayImage, left: usize, top: usize, less: &Orthogonal, appearance: &mut Appearance)
+    write_appearance(image: &GrayImage, left: usize, top: usize, less: &Orthogonal, appearance: &mut TemplateSamples)
 }
 
 /// Spatial moments of a patch, which determine its response to displacement that varies over the
@@ -363,7 +363,7 @@ pub type Moments = [[f64; 3]; 4];
 
 widened! {
     /// The moments of a template that was orthogonalised by `less`.
-    moments(appearance: &Appearance, less: &Orthogonal) -> Moments
+    moments(appearance: &TemplateSamples, less: &Orthogonal) -> Moments
 }
 
 widened! {

@@ -2,7 +2,7 @@
 //! processor has NEON.
 
 use super::scalar::{self, row_start, rows_about, total};
-use super::{Appearance, Grid, PATCH_SIDE, Patch, PatchSums, rows_about_neighbours};
+use super::{Grid, PATCH_SIDE, Patch, PatchSums, TemplateSamples, rows_about_neighbours};
 use crate::image::GrayImage;
 use std::arch::aarch64::*;
 
@@ -38,7 +38,7 @@ pub fn sample_patch(image: &GrayImage, grid: &Grid, samples: &mut Patch) {
 pub fn sample_and_multiply(
     image: &GrayImage,
     grid: &Grid,
-    appearance: &Appearance,
+    appearance: &TemplateSamples,
     samples: &mut Patch,
 ) -> [f64; 3] {
     let sampler = SamplerNeon::new(image, grid);
@@ -96,8 +96,8 @@ struct ColumnProductsNeon<'a> {
 impl<'a> ColumnProductsNeon<'a> {
     #[inline]
     #[target_feature(enable = "neon")]
-    fn new(appearance: &'a Appearance) -> Self {
-        let Appearance { contrast, gradient_x, gradient_y } = appearance;
+    fn new(appearance: &'a TemplateSamples) -> Self {
+        let TemplateSamples { contrast, gradient_x, gradient_y } = appearance;
         Self {
             factors: [contrast.as_chunks().0, gradient_x.as_chunks().0, gradient_y.as_chunks().0],
             sums: [[vdupq_n_f32(0.0); 4]; 3],
@@ -173,7 +173,7 @@ impl<'a> SamplerNeon<'a> {
     fn multiply<const ROWS: usize>(
         &self,
         grid: &Grid,
-        appearance: &Appearance,
+        appearance: &TemplateSamples,
         samples: &mut Patch,
     ) -> [f64; 3] {
         let mut products = ColumnProductsNeon::new(appearance);

@@ -3,7 +3,7 @@
 //! `inline(always)`, so that the copies compiled for wider registers contain these bodies.
 
 use super::{
-    Appearance, Grid, Moments, Orthogonal, PATCH_SIDE, Patch, PatchSums, Plane, Shift, WeightedSums,
+    Grid, Moments, Orthogonal, PATCH_SIDE, Patch, PatchSums, Plane, Shift, TemplateSamples, WeightedSums,
 };
 use crate::image::GrayImage;
 
@@ -42,7 +42,7 @@ pub fn row_start(grid: &Grid, j: usize) -> (f32, f32) {
 pub fn sample_and_multiply(
     image: &GrayImage,
     grid: &Grid,
-    appearance: &Appearance,
+    appearance: &TemplateSamples,
     samples: &mut Patch,
 ) -> [f64; 3] {
     sample_patch(image, grid, samples);
@@ -57,7 +57,7 @@ pub fn sample_and_multiply(
 #[inline(always)]
 fn add_products(
     sums: &mut [[f32; PATCH_SIDE]; 3],
-    appearance: &Appearance,
+    appearance: &TemplateSamples,
     j: usize,
     row: &[f32; PATCH_SIDE],
 ) {
@@ -86,7 +86,7 @@ pub fn sample_shifted(image: &GrayImage, shift: &Shift, samples: &mut Patch) {
 pub fn multiply_shifted(
     image: &GrayImage,
     shift: &Shift,
-    appearance: &Appearance,
+    appearance: &TemplateSamples,
     samples: &mut Patch,
 ) -> [f64; 3] {
     let mut sums = [[0.0f32; PATCH_SIDE]; 3];
@@ -232,7 +232,12 @@ fn twice_from_centre(index: usize) -> i16 {
 }
 
 #[inline(always)]
-pub fn bend_products(image: &GrayImage, left: usize, top: usize, appearance: &Appearance) -> [[f64; 2]; 2] {
+pub fn bend_products(
+    image: &GrayImage,
+    left: usize,
+    top: usize,
+    appearance: &TemplateSamples,
+) -> [[f64; 2]; 2] {
     let mut sums = [[[0.0f32; PATCH_SIDE]; 2]; 2];
     let gradients_x = appearance.gradient_x.as_chunks::<PATCH_SIDE>().0;
     let gradients_y = appearance.gradient_y.as_chunks::<PATCH_SIDE>().0;
@@ -258,9 +263,9 @@ pub fn write_appearance(
     left: usize,
     top: usize,
     less: &Orthogonal,
-    appearance: &mut Appearance,
+    appearance: &mut TemplateSamples,
 ) {
-    let Appearance { contrast, gradient_x, gradient_y } = appearance;
+    let TemplateSamples { contrast, gradient_x, gradient_y } = appearance;
     let [contrast, gradient_x, gradient_y] =
         [contrast, gradient_x, gradient_y].map(|patch| patch.as_chunks_mut::<PATCH_SIDE>().0);
     let planes = less.planes.each_ref().map(PlaneRows::of);
@@ -301,8 +306,8 @@ impl PlaneRows {
 }
 
 #[inline(always)]
-pub fn moments(appearance: &Appearance, less: &Orthogonal) -> Moments {
-    let Appearance { contrast, gradient_x, gradient_y } = appearance;
+pub fn moments(appearance: &TemplateSamples, less: &Orthogonal) -> Moments {
+    let TemplateSamples { contrast, gradient_x, gradient_y } = appearance;
     // What was removed is added again.
     let whole = |of: &Patch, share: f64, plane: &Plane| -> Patch {
         let (mut whole, share, plane) = (*of, share as f32, PlaneRows::of(plane));

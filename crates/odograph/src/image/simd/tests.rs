@@ -21,8 +21,8 @@ fn random_patch(seed: u32) -> Patch {
     [(); 256].map(|()| f32::from(values.next().unwrap_or(0)) * 0.37 - 40.0)
 }
 
-fn appearance(seed: u32) -> Appearance {
-    Appearance {
+fn appearance(seed: u32) -> TemplateSamples {
+    TemplateSamples {
         contrast: random_patch(seed ^ 1),
         gradient_x: random_patch(seed ^ 2),
         gradient_y: random_patch(seed ^ 3),
@@ -204,7 +204,7 @@ proptest! {
         prop_assert_eq!(patch_sums(&image, left, top), scalar::patch_sums(&image, left, top));
         prop_assert_eq!(weighted_sums(&image, left, top), scalar::weighted_sums(&image, left, top));
         let less = orthogonal();
-        let (mut found, mut expected) = (Appearance::ZERO, Appearance::ZERO);
+        let (mut found, mut expected) = (TemplateSamples::ZERO, TemplateSamples::ZERO);
         write_appearance(&image, left, top, &less, &mut found);
         scalar::write_appearance(&image, left, top, &less, &mut expected);
         prop_assert_eq!(found.contrast, expected.contrast);

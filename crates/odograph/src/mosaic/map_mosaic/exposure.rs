@@ -15,23 +15,27 @@ use crate::ground_map::{KeyframeImage, KeyframeImages};
 use crate::numerics::median;
 use std::collections::BTreeMap;
 
-/// Cells of a keyframe's thumbnail, columns and rows.
+/// Cells of a keyframe's thumbnail, columns and rows: brightness over a twentieth of the view,
+/// without its texture.
 const CELLS: (usize, usize) = (24, 18);
-/// Overlaps looked at for each keyframe, nearest first.
-const MOST_OVERLAPS: usize = 12;
-/// Cells that two keyframes must share to be compared.
-const LEAST_CELLS: usize = 12;
-/// Spots whose brightness differs by more than this (a logarithm) after exposure are shadows or
-/// something that moved.
+/// Number of overlaps compared for each keyframe, nearest first: more average better and take
+/// longer.
+const MAX_OVERLAPS: usize = 12;
+/// Minimum number of cells that two keyframes must share to be compared; a whole thumbnail has 432.
+const MIN_CELLS: usize = 12;
+/// Cells whose log brightness differs by more than this after correction of exposure (35 %) show
+/// shadows or something that moved.
 const FARTHEST_LOG: f64 = 0.3;
-/// Where keyframes see each other's ground in the same place of the image, nothing is known of the
-/// lens: as if a spread of so much had shown no darkening.
+/// Prior of the lens shading: weight of no shading, in units of the spread of image positions of
+/// the shared ground. It decides where keyframes see shared ground at the same place of the image,
+/// which says nothing about the lens.
 const SPREAD_PRIOR: f64 = 1.0;
-/// The square of how well a ratio is known (1 %) over how far exposure strays (20 %).
+/// Prior of equal exposure: squared ratio of the standard deviation of a brightness ratio (1 %) to
+/// that of exposure (20 %).
 const PRIOR: f64 = 0.0025;
 
-/// The gain of each keyframe and channel that brings all to the same brightness, and how the lenses
-/// darken.
+/// The gain of each keyframe and channel that equalises brightness, and the vignetting of the
+/// lenses.
 #[derive(Debug)]
 pub(super) struct Gains {
     of: Vec<[f32; 3]>,
@@ -62,7 +66,7 @@ impl Darkening {
         (x * x + y * y) * self.by_half_diagonal * self.by_half_diagonal
     }
 
-    /// What a pixel's brightness is to be multiplied by.
+    /// Factor that corrects the brightness of a pixel.
     #[inline]
     pub fn gain(&self, x: f32, y: f32) -> f32 {
         (-self.log_at_corner * self.square(x, y)).exp()
@@ -81,7 +85,7 @@ struct Overlap {
 struct Thumbnail(Vec<[f32; 3]>);
 
 impl Gains {
-    /// Settles the gains of all keyframes. Loads every image once.
+    /// Estimates the gains of all keyframes. Loads every image once.
     pub fn settle(
         cameras: &[Camera],
         keyframes: &[PlacedKeyframe],
@@ -219,7 +223,7 @@ fn pairs(keyframes: &[PlacedKeyframe]) -> Vec<(usize, usize)> {
         let mut others: Vec<usize> =
             neighbours.filter_map(|key| squares.get(&key)).flatten().copied().filter(|&k| k < one).collect();
         others.sort_by(|&a, &b| distance(a).total_cmp(&distance(b)).then(a.cmp(&b)));
-        found.extend(others.into_iter().take(MOST_OVERLAPS).map(|other| (one, other)));
+        found.extend(others.into_iter().take(MAX_OVERLAPS).map(|other| (one, other)));
     }
     found
 }
@@ -257,7 +261,7 @@ fn shared(
 fn log_exposure(shared: &[CommonGround]) -> Option<[f64; 3]> {
     let of_channel = |channel: usize| {
         let mut ratios: Vec<f64> = shared.iter().map(|spot| spot.log_ratio[channel]).collect();
-        median(&mut ratios).filter(|_| ratios.len() >= LEAST_CELLS)
+        median(&mut ratios).filter(|_| ratios.len() >= MIN_CELLS)
     };
     Some([of_channel(0)?, of_channel(1)?, of_channel(2)?])
 }

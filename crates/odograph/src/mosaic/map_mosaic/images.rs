@@ -4,7 +4,8 @@ use crate::error::Result;
 use crate::ground_map::{KeyframeImage, KeyframeImages};
 use crate::keyframe::KeyframeId;
 
-/// Bytes of images that are kept: some hundred of a small camera, a dozen of a large one.
+/// Bytes of decoded images that are kept: some hundred of a small camera, a dozen of a large one.
+/// More decode fewer images twice.
 const KEPT_BYTES: usize = 32 << 20;
 
 /// Images by keyframe, the one used last at the end.

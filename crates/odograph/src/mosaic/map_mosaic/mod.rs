@@ -46,7 +46,7 @@ pub struct MosaicTile {
     pub rgba: Vec<u8>,
 }
 
-/// A keyframe that looks at the ground.
+/// A keyframe whose image shows the ground.
 #[derive(Debug, Clone)]
 struct PlacedKeyframe {
     id: KeyframeId,
@@ -79,7 +79,7 @@ impl MapMosaic {
     /// the middle of the median keyframe sees. It is not made finer than a quarter of that, and
     /// coarser by halves if the picture would be wider than 2³⁰ pixels.
     ///
-    /// `None` where no keyframe looks at the ground. Fails where an image cannot be loaded.
+    /// `None` where no keyframe shows the ground. Fails where an image cannot be loaded.
     pub fn new(
         map: &GroundMap,
         images: &mut dyn KeyframeImages,

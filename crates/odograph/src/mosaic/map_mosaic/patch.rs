@@ -20,11 +20,11 @@ use crate::mosaic::orthorectification::BlockCorner;
 const SIDE: usize = (PATCH * TILE) as usize;
 /// Blocks on a side of the patch.
 const BLOCKS: usize = SIDE / BLOCK as usize;
-/// The fine parts count by the weight to this power: where one view weighs 10 % more than another,
-/// 2 of 3 parts are its.
+/// Exponent of the weights of fine detail: where one view weighs 10 % more than another, two thirds
+/// of the detail are its. Higher is sharper, lower hides seams better.
 const SHARPNESS: i32 = 8;
 
-/// What is known of a ground pixel: weighted sums, and the weights.
+/// Accumulated views of a ground pixel: weighted sums, and the weights.
 #[derive(Debug, Clone, Copy, Default)]
 struct PixelSums {
     coarse: [f32; 3],
@@ -204,7 +204,7 @@ impl Border {
             || known().all(|c| c.y > self.bottom)
     }
 
-    /// How much a view counts: 1 in the middle of the image, almost nothing at its border, less
+    /// Weight of a view: 1 in the middle of the image, almost nothing at its border, less
     /// where the ground is seen at a slant. `None` outside.
     #[inline]
     fn weight(&self, seen: BlockCorner) -> Option<f32> {

@@ -18,14 +18,14 @@ use std::fmt::Write;
 use std::path::Path;
 
 /// Largest Hamming distance, of 256 bits, between descriptors of the same point.
-const MOST_BITS: u32 = 48;
+const MAX_BITS: u32 = 48;
 /// Largest distance between features of the same point, pixels at the image centre.
 const FARTHEST_PX: f64 = 4.0;
 /// COLMAP's pixel (0.5, 0.5) is the centre of the top left one.
 const PIXEL_CENTRE: f64 = 0.5;
 
 /// A feature of a keyframe: where it is on the ground, and in the image.
-struct Feature {
+struct KeyframeFeature {
     ground: GroundPoint,
     pixel: [f64; 2],
     descriptor: [u64; 4],
@@ -51,7 +51,7 @@ pub fn write(file: &mut MapFile, folder: &Path, force: bool) -> Result<String> {
     }
     let images = folder.join("images");
     files::make_folder(&images)?;
-    let mut features: Vec<Vec<Feature>> =
+    let mut features: Vec<Vec<KeyframeFeature>> =
         map.keyframes.iter().map(|keyframe| seen(&map.camera, keyframe)).collect();
     let tracks = tracks(&map, &mut features);
     let mut colors = BTreeMap::new();
@@ -87,14 +87,14 @@ fn name(keyframe: KeyframeId) -> String {
 }
 
 /// The features of a keyframe that lie inside its image.
-fn seen(camera: &Camera, keyframe: &MapKeyframe) -> Vec<Feature> {
+fn seen(camera: &Camera, keyframe: &MapKeyframe) -> Vec<KeyframeFeature> {
     // Positions of a signature are those for a camera over the origin with this height and tilt.
     let pose = &keyframe.pose;
     let feature = |feature: &odograph::place_recognition::GroundFeature| {
         let [x, y] = feature.position_m.map(f64::from);
         let ground = pose.se2().apply(GroundPoint::new(x, y));
         let pixel = camera.pixel_from_ray(pose.ray_from_ground(ground)?)?;
-        camera.contains(pixel, 0.0).then_some(Feature {
+        camera.contains(pixel, 0.0).then_some(KeyframeFeature {
             ground,
             pixel: [pixel.x, pixel.y],
             descriptor: feature.descriptor,
@@ -106,7 +106,7 @@ fn seen(camera: &Camera, keyframe: &MapKeyframe) -> Vec<Feature> {
 
 /// Joins the features that show the same point; gives the features of each point as (keyframe,
 /// feature).
-fn tracks(map: &GroundMap, features: &mut [Vec<Feature>]) -> Vec<Vec<(usize, usize)>> {
+fn tracks(map: &GroundMap, features: &mut [Vec<KeyframeFeature>]) -> Vec<Vec<(usize, usize)>> {
     let place: BTreeMap<KeyframeId, usize> =
         map.keyframes.iter().enumerate().map(|(index, keyframe)| (keyframe.id, index)).collect();
     // The features of all keyframes in a row, each led by the first one known to show the same
@@ -152,14 +152,15 @@ fn led(leader: &mut [usize], mut of: usize) -> usize {
 }
 
 /// The pairs of features that are each other's best match, near enough and alike enough.
-fn alike(one: &[Feature], other: &[Feature], farthest_m: f64) -> Vec<(usize, usize)> {
-    let best = |from: &Feature, among: &[Feature]| {
+fn alike(one: &[KeyframeFeature], other: &[KeyframeFeature], farthest_m: f64) -> Vec<(usize, usize)> {
+    let best = |from: &KeyframeFeature, among: &[KeyframeFeature]| {
         let near = among.iter().enumerate().filter(|(_, to)| from.ground.distance(to.ground) <= farthest_m);
-        let bits =
-            |to: &Feature| (0..4).map(|k| (from.descriptor[k] ^ to.descriptor[k]).count_ones()).sum::<u32>();
+        let bits = |to: &KeyframeFeature| {
+            (0..4).map(|k| (from.descriptor[k] ^ to.descriptor[k]).count_ones()).sum::<u32>()
+        };
         near.map(|(index, to)| (bits(to), index))
             .min()
-            .filter(|(bits, _)| *bits <= MOST_BITS)
+            .filter(|(bits, _)| *bits <= MAX_BITS)
             .map(|(_, index)| index)
     };
     let there: Vec<Option<usize>> = one.iter().map(|feature| best(feature, other)).collect();
@@ -168,7 +169,7 @@ fn alike(one: &[Feature], other: &[Feature], farthest_m: f64) -> Vec<(usize, usi
     there.iter().enumerate().filter_map(pair).collect()
 }
 
-fn images_text(map: &GroundMap, features: &[Vec<Feature>]) -> String {
+fn images_text(map: &GroundMap, features: &[Vec<KeyframeFeature>]) -> String {
     let mut text = String::from(
         "# Image list with two lines of data per image:\n#   IMAGE_ID, QW, QX, QY, QZ, TX, TY, TZ, CAMERA_ID, NAME\n\
          #   POINTS2D[] as (X, Y, POINT3D_ID)\n",
@@ -202,7 +203,7 @@ fn images_text(map: &GroundMap, features: &[Vec<Feature>]) -> String {
 
 fn points_text(
     map: &GroundMap,
-    features: &[Vec<Feature>],
+    features: &[Vec<KeyframeFeature>],
     tracks: &[Vec<(usize, usize)>],
     colors: &BTreeMap<usize, [u8; 3]>,
 ) -> String {

@@ -9,13 +9,13 @@ use std::path::Path;
 /// Longest side: no viewer shows more, and a strip of that width fits into memory.
 const LONGEST_SIDE_PX: u64 = 60_000;
 /// Largest number of pixels.
-const MOST_PIXELS: u64 = 1_000_000_000;
+const MAX_PIXELS: u64 = 1_000_000_000;
 
 /// Writes the picture from top to bottom, as fine as possible, and reports what was written.
 pub fn write(file: &MapFile, layer: &MosaicLayer, path: &Path) -> Result<String> {
     let fits = |level: &u32| {
         let (width, height, _) = layer.picture_at(*level);
-        width.max(height) <= LONGEST_SIDE_PX && width.saturating_mul(height) <= MOST_PIXELS
+        width.max(height) <= LONGEST_SIDE_PX && width.saturating_mul(height) <= MAX_PIXELS
     };
     let level = (0..=layer.finest).rev().find(fits).unwrap_or(0);
     let (width, height, placement) = layer.picture_at(level);

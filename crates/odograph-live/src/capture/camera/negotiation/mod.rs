@@ -10,7 +10,7 @@ use std::path::Path;
 
 /// Image sizes of a format, pixels (`VIDIOC_ENUM_FRAMESIZES`).
 #[derive(Debug, Clone, PartialEq, Eq)]
-pub enum Sizes {
+pub enum OfferedSizes {
     /// A list of sizes.
     Listed(Vec<(u32, u32)>),
     /// All sizes from `least` to `most` in steps of `step`.
@@ -19,7 +19,7 @@ pub enum Sizes {
 
 /// Frame intervals of a format and size, seconds as fractions (`VIDIOC_ENUM_FRAMEINTERVALS`).
 #[derive(Debug, Clone, PartialEq, Eq)]
-pub enum Intervals {
+pub enum OfferedIntervals {
     /// A list of intervals.
     Listed(Vec<(u32, u32)>),
     /// All intervals from `shortest` to `longest`.
@@ -54,8 +54,8 @@ const EXPOSURE_MANUAL: i32 = 1;
 pub trait Driver {
     /// FourCCs of all formats, including those that are not supported here.
     fn formats(&self) -> Vec<[u8; 4]>;
-    fn sizes(&self, fourcc: [u8; 4]) -> io::Result<Sizes>;
-    fn intervals(&self, fourcc: [u8; 4], size: (u32, u32)) -> io::Result<Intervals>;
+    fn sizes(&self, fourcc: [u8; 4]) -> io::Result<OfferedSizes>;
+    fn intervals(&self, fourcc: [u8; 4], size: (u32, u32)) -> io::Result<OfferedIntervals>;
     fn set_format(&mut self, fourcc: [u8; 4], size: (u32, u32)) -> io::Result<Given>;
     /// Sets the frame interval, seconds as a fraction, and returns the one that the driver set.
     fn set_interval(&mut self, seconds: (u32, u32)) -> io::Result<(u32, u32)>;
@@ -69,17 +69,17 @@ pub fn modes(driver: &dyn Driver) -> Vec<Mode> {
     for fourcc in driver.formats() {
         let Some(format) = PixelFormat::from_fourcc(fourcc) else { continue };
         let sizes = match driver.sizes(fourcc) {
-            Ok(Sizes::Listed(sizes)) => sizes,
-            Ok(Sizes::Range { least, most, step }) => sizes_in_range(least, most, step),
+            Ok(OfferedSizes::Listed(sizes)) => sizes,
+            Ok(OfferedSizes::Range { least, most, step }) => sizes_in_range(least, most, step),
             Err(_) => Vec::new(),
         };
         for (width, height) in sizes {
             let rates = match driver.intervals(fourcc, (width, height)) {
-                Ok(Intervals::Listed(intervals)) => {
+                Ok(OfferedIntervals::Listed(intervals)) => {
                     intervals.into_iter().map(|interval| Some(rate(interval))).collect()
                 }
                 // Any interval of the range can be requested.
-                Ok(Intervals::Range { shortest, longest }) => {
+                Ok(OfferedIntervals::Range { shortest, longest }) => {
                     vec![Some(rate(shortest)), Some((30, 1)), Some(rate(longest))]
                 }
                 Err(_) => vec![None],

@@ -78,7 +78,7 @@ type Listed = Vec<((u32, u32), Vec<(u32, u32)>)>;
 /// A driver that replays recorded answers.
 #[derive(Default)]
 struct Recorded {
-    formats: Vec<([u8; 4], Option<Sizes>, Listed)>,
+    formats: Vec<([u8; 4], Option<OfferedSizes>, Listed)>,
     controls: BTreeMap<Control, i32>,
     /// The format that is set, whatever was requested.
     stubborn: Option<Given>,
@@ -107,7 +107,7 @@ impl Recorded {
             } else if let Some(text) = line.strip_prefix("Size: Stepwise ") {
                 let words: Vec<&str> = text.split(' ').collect();
                 let [least, most, step] = [pair(words[0], 'x'), pair(words[2], 'x'), pair(words[5], '/')];
-                *range = Some(Sizes::Range { least, most, step });
+                *range = Some(OfferedSizes::Range { least, most, step });
             } else {
                 let rate = line.split_once('(').unwrap().1.split_once(' ').unwrap().0;
                 let rate: f64 = rate.parse().unwrap();
@@ -125,7 +125,7 @@ impl Recorded {
         self
     }
 
-    fn found(&self, fourcc: [u8; 4]) -> io::Result<&([u8; 4], Option<Sizes>, Listed)> {
+    fn found(&self, fourcc: [u8; 4]) -> io::Result<&([u8; 4], Option<OfferedSizes>, Listed)> {
         let einval = || io::Error::from_raw_os_error(22);
         self.formats.iter().find(|(known, ..)| *known == fourcc).ok_or_else(einval)
     }
@@ -140,19 +140,21 @@ impl Driver for Recorded {
         self.formats.iter().map(|(fourcc, ..)| *fourcc).collect()
     }
 
-    fn sizes(&self, fourcc: [u8; 4]) -> io::Result<Sizes> {
+    fn sizes(&self, fourcc: [u8; 4]) -> io::Result<OfferedSizes> {
         let (_, range, sizes) = self.found(fourcc)?;
-        Ok(range.clone().unwrap_or_else(|| Sizes::Listed(sizes.iter().map(|(size, _)| *size).collect())))
+        Ok(range
+            .clone()
+            .unwrap_or_else(|| OfferedSizes::Listed(sizes.iter().map(|(size, _)| *size).collect())))
     }
 
-    fn intervals(&self, fourcc: [u8; 4], size: (u32, u32)) -> io::Result<Intervals> {
+    fn intervals(&self, fourcc: [u8; 4], size: (u32, u32)) -> io::Result<OfferedIntervals> {
         let (_, range, sizes) = self.found(fourcc)?;
         if range.is_some() {
-            return Ok(Intervals::Range { shortest: (1, 90), longest: (1, 1) });
+            return Ok(OfferedIntervals::Range { shortest: (1, 90), longest: (1, 1) });
         }
         let listed = sizes.iter().find(|(known, _)| *known == size);
         listed
-            .map(|(_, intervals)| Intervals::Listed(intervals.clone()))
+            .map(|(_, intervals)| OfferedIntervals::Listed(intervals.clone()))
             .ok_or_else(|| io::Error::from_raw_os_error(22))
     }
 
@@ -240,7 +242,7 @@ fn every_mode_is_listed_once() {
     // A driver that does not report frame rates has modes as well.
     let mut camera = Recorded::camera(GRAY);
     camera.formats[0].2[0].1.clear();
-    camera.formats[0].1 = Some(Sizes::Listed(vec![(640, 360), (320, 180)]));
+    camera.formats[0].1 = Some(OfferedSizes::Listed(vec![(640, 360), (320, 180)]));
     assert!(modes(&camera).iter().all(|mode| mode.width >= 320));
 }
 

@@ -47,7 +47,7 @@ const ONE_ROW: u8 = 1 << 6;
 const TWO_ROWS: u8 = ONE_ROW | 1 << 5;
 const NO_SOURCE: u8 = 1 << 7;
 /// Both neighbours in a row must be among 16 samples.
-const MOST_COLUMNS: usize = 14;
+const MAX_COLUMNS: usize = 14;
 
 /// The source position of a pixel.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
@@ -112,8 +112,8 @@ impl Remap {
         let most = |of: fn(&SourcePosition) -> usize| there().map(of).max().unwrap_or(0);
         let (column, row) = (least(|place| place.column), least(|place| place.row));
         let reach = match (most(|place| place.column) - column, most(|place| place.row) - row) {
-            (0..=MOST_COLUMNS, 0..=1) => BlockSpread::Near,
-            (0..=MOST_COLUMNS, 2) => BlockSpread::Far,
+            (0..=MAX_COLUMNS, 0..=1) => BlockSpread::Near,
+            (0..=MAX_COLUMNS, 2) => BlockSpread::Far,
             _ => BlockSpread::Loose,
         };
         let index = |column: usize, row: usize| (row * self.source.0 + column) as u32;

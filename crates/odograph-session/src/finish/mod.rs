@@ -2,9 +2,11 @@
 //! Trajectories are written first, because they cannot be recovered without the recording. Later
 //! failures are reported at the end, after everything else is written.
 
-use crate::budget::Budget;
+mod improvement;
+mod smoothing;
+mod statistics;
+
 use crate::earth::{self, GnssRecord, OnEarth};
-use crate::earth_statistics::GnssStatistics;
 use crate::folder::OutputFolder;
 use crate::found::{FoundLens, FoundReadout};
 use crate::kept_frames::KeptFrames;
@@ -13,28 +15,25 @@ use crate::observer::Observer;
 use crate::outcome::{RunEnd, RunOutcome};
 use crate::output::RunOutput;
 use crate::pipeline::Tracked;
-use crate::place::PlaceInMap;
+use crate::place::PoseInMap;
 use crate::plan::RunPlan;
 use crate::report::RunReporter;
 use crate::resemblance::Resemblance;
 use crate::ros_bag::RosBagWriter;
-use crate::statistics::{
-    BudgetStatistics, LoopStatistics, RunStatistics, SensorStatistics, interruption, peak_memory_bytes,
-};
-use crate::timings::StageTime;
+use crate::statistics::interruption;
 use crate::{files, pictures, reference, tilt};
+use improvement::{Improved, carrier_frames};
 use odograph::error::{Error, Result};
-use odograph::filter::fusion::{Reckoned, SensorReport, Sensors};
-use odograph::filter::{Carrier, SmoothedFrame, SmoothedPath, Smoother, fusion};
+use odograph::filter::fusion::{SensorReport, Sensors};
 use odograph::formats::camera_file;
-use odograph::formats::trajectory_file::{SMOOTHED_HEADER, smoothed_line};
+use odograph::georeference::Anchor;
 use odograph::mosaic::Mosaic;
 use odograph::pose_frame::{PoseFrame, PoseFrames};
-use odograph::slam::Bent;
-use odograph::trajectory::{FrameSummary, TrackStatus, distance_m};
-use std::collections::BTreeMap;
+use odograph::trajectory::FrameSummary;
+use smoothing::write_smoothed;
+use statistics::{Estimated, statistics_of};
 use std::path::Path;
-use std::time::{Duration, Instant};
+use std::time::Instant;
 
 /// Inputs for finishing a run.
 pub struct Ending<'a> {
@@ -58,15 +57,15 @@ pub fn finish(
     ending: &Ending<'_>,
 ) -> Result<RunOutcome> {
     enough(plan, &mut tracked, ending.output)?;
-    let mut of = PoseFrames::from(plan.pose_frame()?);
-    tracked.recalibrated.iter().for_each(|(frame, rig)| of.recalibrate(*frame, rig));
+    let mut pose_frames = PoseFrames::from(plan.pose_frame()?);
+    tracked.recalibrated.iter().for_each(|(frame, rig)| pose_frames.recalibrate(*frame, rig));
     let failure = ended_early(&mut tracked);
-    let mut run = Finishing { failure, plan, of: of.clone(), tracked, folder, ending };
+    let mut run = Finishing { failure, plan, pose_frames: pose_frames.clone(), tracked, folder, ending };
     run.report_calibration()?;
-    let mut improved = run.improve(ending.sensors)?;
+    let mut improved = Improved::new(&mut run.tracked, plan, ending.sensors, ending.gnss, run.folder.path())?;
     run.write_paths(&mut improved)?;
-    improved.observe(&mut run.tracked, &of, ending.observer)?;
-    let frames = improved.summaries(&mut run.tracked, &of)?;
+    improved.observe(&mut run.tracked, &pose_frames, ending.observer)?;
+    let frames = improved.summaries(&mut run.tracked, &pose_frames)?;
     let place = run.place_in_map(&mut improved)?;
     let on_earth = run.place_on_earth(&mut improved, &frames)?;
     let Improved { mut corrected, sensors, loops, markers, .. } = improved;
@@ -85,7 +84,7 @@ const MASK: &str = "mask.png";
 struct Finishing<'a> {
     plan: &'a RunPlan,
     /// The frame whose poses are written and shown.
-    of: PoseFrames,
+    pose_frames: PoseFrames,
     /// Frames of the camera in the odometry frame.
     tracked: Tracked,
     folder: &'a mut OutputFolder,
@@ -94,51 +93,9 @@ struct Finishing<'a> {
     failure: Option<Error>,
 }
 
-/// The frames after sensor fusion and loop closure.
-struct Improved {
-    /// The final frames; `None` if they equal the odometry's.
-    corrected: Option<KeptFrames>,
-    /// Frames without a measured pose, as dead-reckoned from the sensors.
-    reckoned: Reckoned,
-    sensors: Vec<SensorReport>,
-    loops: LoopStatistics,
-    markers: Option<MarkerStatistics>,
-    /// What a satellite receiver changed of the map.
-    bent: Option<Bent>,
-}
-
-/// What the loops, the markers and the satellite receiver said of the path.
-struct Estimated {
-    loops: LoopStatistics,
-    markers: Option<MarkerStatistics>,
-    gnss: Option<GnssStatistics>,
-}
-
-/// What a person is told about interlaced video.
+/// Warning about interlaced video.
 const INTERLACED: &str = "the video is interlaced: even and odd rows of a frame are of different times, and the even ones \
                           alone are used; a camera set to progressive video gives twice as many rows";
-
-impl Improved {
-    /// Gives the final frames as poses of `of` to the observer.
-    fn observe(&mut self, tracked: &mut Tracked, of: &PoseFrames, observer: &dyn Observer) -> Result<()> {
-        let frames = self.corrected.as_mut().unwrap_or(&mut tracked.frames);
-        frames.each(|frame, _| {
-            observer.final_frame(&of.frame(frame));
-            Ok(())
-        })
-    }
-
-    /// Their summaries as the path of `of`, for drawings.
-    fn summaries(&mut self, tracked: &mut Tracked, of: &PoseFrames) -> Result<Vec<FrameSummary>> {
-        let frames = self.corrected.as_mut().unwrap_or(&mut tracked.frames);
-        let mut summaries = Vec::with_capacity(frames.count());
-        frames.each(|frame, _| {
-            summaries.push(FrameSummary::from(&*of.frame(frame)));
-            Ok(())
-        })?;
-        Ok(summaries)
-    }
-}
 
 /// Fails if there are too few frames for a trajectory.
 fn enough(plan: &RunPlan, tracked: &mut Tracked, output: &RunOutput) -> Result<()> {
@@ -195,64 +152,11 @@ impl Finishing<'_> {
         Ok(())
     }
 
-    /// Fuses other sensors first; loop closures then correct the fused path.
-    fn improve(&mut self, sensors: &Sensors) -> Result<Improved> {
-        let tracked = &mut self.tracked;
-        let (mut fused, mut reckoned, mut reports) = (None, Reckoned::default(), Vec::new());
-        if *sensors != Sensors::default() {
-            // Sensor fusion needs the whole recording in memory; no other step does.
-            let (raw, mut references) = tracked.frames.all()?;
-            let fusion = fusion::fuse(&raw, sensors);
-            if fusion.moved {
-                tracked.mapping.take_over(&raw, &fusion.frames, &mut references);
-                let mut kept = KeptFrames::new(self.folder.path());
-                fusion.frames.into_iter().zip(references).for_each(|(f, reference)| kept.push(f, reference));
-                fused = Some(kept);
-            }
-            (reckoned, reports) = (fusion.reckoned, fusion.reports);
-        }
-        let frames = fused.as_mut().unwrap_or(&mut tracked.frames);
-        tracked.mapping.finish();
-        let (moves, folder) = (!reckoned.is_empty(), self.folder.path());
-        let mut straight = tracked.mapping.straighten(frames, moves, folder)?;
-        let mut bent = None;
-        if let Some(gnss) = self.ending.gnss {
-            let mut carrier = PoseFrames::of_carrier(&self.plan.rig);
-            tracked.recalibrated.iter().for_each(|(frame, rig)| carrier.recalibrate(*frame, rig));
-            let antenna = self.plan.antenna.as_ref();
-            let measured = earth::measured_path(frames, &carrier, antenna)?;
-            let path =
-                earth::antenna_path(straight.frames.as_mut().unwrap_or(&mut *frames), &carrier, antenna)?;
-            bent = gnss
-                .antenna_fixes(&path, &measured)
-                .and_then(|(fixes, found)| tracked.mapping.bend_to(&fixes, &found));
-            if bent.is_some() {
-                straight = tracked.mapping.straighten(frames, moves, folder)?;
-            }
-        }
-        let reckoned = reckoned.moved_with(&straight.moves);
-        let loops = tracked.mapping.statistics(&straight);
-        tracked.warnings.extend(tracked.mapping.warning());
-        tracked.warnings.extend(self.plan.sensors.warnings(&reports));
-        let markers = tracked.mapping.marker_statistics().map(|(statistics, warnings)| {
-            tracked.warnings.extend(warnings);
-            statistics
-        });
-        Ok(Improved {
-            corrected: straight.frames.or(fused),
-            reckoned,
-            sensors: reports,
-            loops,
-            markers,
-            bent,
-        })
-    }
-
     /// Writes the trajectories, the map's keyframes, and the paths derived from the frames.
     fn write_paths(&mut self, improved: &mut Improved) -> Result<()> {
         let frames = improved.corrected.as_mut().unwrap_or(&mut self.tracked.frames);
         let text = self.plan.text_in(self.folder.path())?;
-        self.folder.write_trajectories(frames, &self.of, &text)?;
+        self.folder.write_trajectories(frames, &self.pose_frames, &text)?;
         let camera = camera_file::write(&self.plan.camera);
         // The camera file of an earlier run may be the input of this one; it is kept.
         let stays = self.folder.holds(FOUND_CAMERA, camera.as_bytes());
@@ -266,9 +170,9 @@ impl Finishing<'_> {
         } else {
             self.folder.remove(MASK)?;
         }
-        let of = &self.of;
-        self.folder.write_tum("odometry.tum", of.last(), |put| {
-            self.tracked.frames.each(|frame, _| of.stamped(frame).as_ref().map_or(Ok(()), &mut *put))
+        let pose_frames = &self.pose_frames;
+        self.folder.write_tum("odometry.tum", pose_frames.last(), |put| {
+            self.tracked.frames.each(|frame, _| pose_frames.stamped(frame).as_ref().map_or(Ok(()), &mut *put))
         })?;
         // The map comes after the trajectories because it may not fit on the disk; later outputs
         // are written even then.
@@ -276,7 +180,9 @@ impl Finishing<'_> {
         if let Err(error) = self.tracked.mapping.save(frames) {
             self.fail("the map is not where the trajectories are", error);
         }
-        self.write_smoothed(improved)?;
+        let frames = improved.corrected.as_mut().unwrap_or(&mut self.tracked.frames);
+        let recalibrated = &self.tracked.recalibrated;
+        write_smoothed(frames, &improved.reckoned, self.plan, recalibrated, &self.pose_frames, self.folder)?;
         if let Some(bag) = &self.ending.output.bag
             && let Err(error) = self.write_bag(bag, improved)
         {
@@ -297,7 +203,7 @@ impl Finishing<'_> {
         }
         let mut in_map = in_map.into_iter();
         files::write_with(path, |output| {
-            let mut bag = RosBagWriter::new(path, output, self.of.clone())?;
+            let mut bag = RosBagWriter::new(path, output, self.pose_frames.clone())?;
             self.tracked.frames.each(|frame, _| bag.add(frame, in_map.next().flatten().as_ref()))?;
             bag.finish()
         })?;
@@ -305,54 +211,17 @@ impl Finishing<'_> {
         Ok(())
     }
 
-    /// Computes the smoothed path and the carrier's path from a few numbers per frame, and writes
-    /// them frame by frame.
-    fn write_smoothed(&mut self, improved: &mut Improved) -> Result<()> {
-        let frames = improved.corrected.as_mut().unwrap_or(&mut self.tracked.frames);
-        let mut smoother = Smoother::for_frames(frames.count());
-        frames.each(|frame, _| {
-            smoother.push(frame);
-            Ok(())
-        })?;
-        let path = smoother.smoothed(&self.plan.odometry.filter);
-        let of = &self.of;
-        let mut smoothed = FrameSmoother { frames, path: &path, reckoned: &improved.reckoned };
-        self.folder.write_lines("trajectory-smoothed.csv", SMOOTHED_HEADER, |put| {
-            smoothed.each(|frame| put(&smoothed_line(&frame.seen_as(of.at(frame.frame)))))
-        })?;
-        let mut carrier = Carrier::for_frames(&self.plan.rig, smoothed.frames.count());
-        self.tracked.recalibrated.iter().for_each(|(frame, rig)| carrier.recalibrate(*frame, rig));
-        self.folder.write_tum("trajectory-smoothed.tum", of.last(), |put| {
-            let mut before_s = f64::NEG_INFINITY;
-            smoothed.each(|frame| {
-                carrier.push(frame);
-                // Of frames with equal times the first is used.
-                let later = frame.time_s > before_s;
-                before_s = before_s.max(frame.time_s);
-                if !later {
-                    return Ok(());
-                }
-                let of = of.at(frame.frame);
-                put(&frame.seen_as(of).stamped(of))
-            })
-        })?;
-        drop(path);
-        let of = *carrier.of().last();
-        let mut carrier = carrier.path();
-        self.folder.write_tum("carrier.tum", &of, |put| carrier.try_for_each(|pose| put(&pose)))
-    }
-
     /// Where the last frame was that a map of earlier runs recognised.
-    fn place_in_map(&mut self, improved: &mut Improved) -> Result<Option<PlaceInMap>> {
+    fn place_in_map(&mut self, improved: &mut Improved) -> Result<Option<PoseInMap>> {
         let mapper = self.tracked.mapping.mapper();
-        if !PlaceInMap::can_be(mapper) {
+        if !PoseInMap::can_be(mapper) {
             return Ok(None);
         }
         // Keyframes are where the camera was.
         let frames = improved.summaries(&mut self.tracked, &PoseFrame::Camera.into())?;
-        let Some(place) = PlaceInMap::last(&frames, self.tracked.mapping.mapper()) else { return Ok(None) };
+        let Some(place) = PoseInMap::last(&frames, self.tracked.mapping.mapper()) else { return Ok(None) };
         drop(frames);
-        let frames = improved.summaries(&mut self.tracked, &self.of)?;
+        let frames = improved.summaries(&mut self.tracked, &self.pose_frames)?;
         Ok(frames.iter().find(|frame| frame.frame == place.frame).map(|frame| place.of(frame)))
     }
 
@@ -360,25 +229,20 @@ impl Finishing<'_> {
     fn place_on_earth(
         &mut self,
         improved: &mut Improved,
-        frames: &[FrameSummary],
+        summaries: &[FrameSummary],
     ) -> Result<Option<OnEarth>> {
         let on_earth = match self.ending.gnss {
             Some(gnss) => {
-                let mut carrier = PoseFrames::of_carrier(&self.plan.rig);
-                let tracked = &mut self.tracked;
-                tracked.recalibrated.iter().for_each(|(frame, rig)| carrier.recalibrate(*frame, rig));
-                let path = earth::antenna_path(
-                    improved.corrected.as_mut().unwrap_or(&mut tracked.frames),
-                    &carrier,
-                    self.plan.antenna.as_ref(),
-                )?;
-                Some(gnss.place(self.plan, &path, frames, improved.bent))
+                let carrier = carrier_frames(self.plan, &self.tracked.recalibrated);
+                let frames = improved.corrected.as_mut().unwrap_or(&mut self.tracked.frames);
+                let path = earth::antenna_path(frames, &carrier, self.plan.antenna.as_ref())?;
+                Some(gnss.place(self.plan, &path, summaries, improved.bent))
             }
             None => None,
         };
         self.warn(on_earth.iter().flat_map(|on_earth| on_earth.warnings.clone()));
         let place = on_earth.as_ref().and_then(|on_earth| on_earth.place.as_ref());
-        earth::write(self.folder, place, frames)?;
+        earth::write(self.folder, place, summaries)?;
         Ok(on_earth)
     }
 
@@ -436,17 +300,9 @@ impl Finishing<'_> {
             Err(error) => Some(format!("the map has no new picture of the ground: {error}")),
         });
         if let Some(place) = on_earth.and_then(|on_earth| on_earth.place.as_ref()) {
-            let path = self.folder.path().join(earth::UTM_MOSAIC);
-            match tracked.mapping.write_geotiff(&path, &place.anchor) {
-                Ok(true) => self.folder.is_written(path),
-                Ok(false) => self.folder.remove(earth::UTM_MOSAIC)?,
-                Err(error) => {
-                    let warning = format!("there is no picture of the ground on Earth: {error}");
-                    tracked.warnings.push(warning);
-                    self.failure.get_or_insert(error);
-                }
-            }
+            self.write_earth_mosaic(&place.anchor)?;
         }
+        let tracked = &self.tracked;
         let interruption = (tracked.interrupted && tracked.live.is_none())
             .then(|| interruption(frames.len() as u64, tracked.announced));
         pictures::write_page(
@@ -464,11 +320,22 @@ impl Finishing<'_> {
         Ok(())
     }
 
+    /// The mosaic in UTM, where it is known where on Earth the run was.
+    fn write_earth_mosaic(&mut self, anchor: &Anchor) -> Result<()> {
+        let path = self.folder.path().join(earth::UTM_MOSAIC);
+        match self.tracked.mapping.write_geotiff(&path, anchor) {
+            Ok(true) => self.folder.is_written(path),
+            Ok(false) => self.folder.remove(earth::UTM_MOSAIC)?,
+            Err(error) => self.fail("there is no picture of the ground on Earth", error),
+        }
+        Ok(())
+    }
+
     /// Closes the map and writes the statistics, the last file.
     fn end(
         mut self,
         frames: Vec<FrameSummary>,
-        place: Option<PlaceInMap>,
+        place: Option<PoseInMap>,
         sensors: &[SensorReport],
         estimated: Estimated,
     ) -> Result<RunOutcome> {
@@ -498,80 +365,5 @@ impl Finishing<'_> {
                 written: self.folder.take_written().into_iter().chain(map).collect(),
             }),
         }
-    }
-}
-
-/// The statistics of a run that took `elapsed`, from its final frames and its sensors.
-fn statistics_of(
-    tracked: &Tracked,
-    frames: &[FrameSummary],
-    budget: Option<Budget>,
-    sensors: &[SensorReport],
-    estimated: Estimated,
-    elapsed: Duration,
-) -> RunStatistics {
-    let posed = |i: usize| frames[i].place.is_some();
-    let losses = (0..frames.len()).filter(|&i| !posed(i) && (i == 0 || posed(i - 1))).count();
-    let duration_s = match (frames.first(), frames.last()) {
-        (Some(first), Some(last)) => last.time_s - first.time_s,
-        _ => 0.0,
-    };
-    let rate = |s: f64| if s > 0.0 { frames.len() as f64 / s } else { 0.0 };
-    RunStatistics {
-        frames: frames.len() as u64,
-        frames_with_pose: frames.iter().filter(|f| f.status == TrackStatus::Tracked).count() as u64,
-        duration_s,
-        distance_m: distance_m(frames),
-        fps: rate(elapsed.as_secs_f64()),
-        stages: BTreeMap::from([
-            ("decode", StageTime::of(&tracked.times.decode)),
-            ("track", StageTime::of(&tracked.times.track)),
-            ("self_calibration", StageTime::of(&tracked.times.self_calibration)),
-            ("map", StageTime::of(&tracked.times.map)),
-        ]),
-        keyframes: tracked.keyframes,
-        losses: losses as u64,
-        loops: estimated.loops,
-        peak_memory_bytes: peak_memory_bytes(),
-        budget: budget.map(|budget| BudgetStatistics::new(budget, &tracked.times.track)),
-        mount: tracked.mount,
-        lens: tracked.lens.clone(),
-        readout: tracked.readout,
-        interlaced: tracked.interlaced,
-        fixed_in_image: tracked.fixed.clone(),
-        interrupted: tracked.interrupted,
-        frames_announced: tracked.announced.filter(|_| tracked.interrupted),
-        live: tracked.live,
-        markers: estimated.markers,
-        sensors: sensors.iter().map(SensorStatistics::new).collect(),
-        gnss: estimated.gnss,
-    }
-}
-
-/// A smoothed path, its gaps filled from the sensors, along the frames.
-struct FrameSmoother<'a> {
-    frames: &'a mut KeptFrames,
-    path: &'a SmoothedPath,
-    reckoned: &'a Reckoned,
-}
-
-impl FrameSmoother<'_> {
-    /// Visits every frame of the path. Fails if frames cannot be read back, or if `take` fails.
-    fn each(&mut self, mut take: impl FnMut(&SmoothedFrame) -> Result<()>) -> Result<()> {
-        let (mut walk, mut merge) = (self.path.walk(), self.reckoned.merge());
-        let mut taken = Ok(());
-        let mut take = |frame: SmoothedFrame, taken: &mut Result<()>| {
-            if taken.is_ok() {
-                *taken = take(&frame);
-            }
-        };
-        self.frames.each(|frame, _| {
-            walk.next(frame, &mut |smoothed| {
-                merge.next(smoothed, &mut |smoothed| take(smoothed, &mut taken));
-            });
-            std::mem::replace(&mut taken, Ok(()))
-        })?;
-        merge.end(&mut |smoothed| take(smoothed, &mut taken));
-        taken
     }
 }

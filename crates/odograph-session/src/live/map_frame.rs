@@ -22,7 +22,8 @@ fn numbers(correction: &Sim2) -> [f64; 4] {
     [rounded(cos, 1e6), rounded(sin, 1e6), rounded(correction.x_m, 1e4), rounded(correction.y_m, 1e4)]
 }
 
-/// Shortest interval between updates, plus the same per thousand keyframes.
+/// Shortest interval between updates of the whole path on the page, plus the same per thousand
+/// keyframes, so that a long path does not take most of the time.
 const SENT_EVERY: Duration = Duration::from_secs(1);
 /// Largest share of a core for rendering again: each rendering is followed by a pause of nine times
 /// its duration.
@@ -42,11 +43,11 @@ impl<'a> MapFrameUpdates<'a> {
     }
 
     /// Publishes the corrected poses if there was a loop closure since the last call.
-    pub fn look(&mut self, mapping: &Mapping) {
+    pub fn publish_if_closed(&mut self, mapping: &Mapping) {
         let mapper = mapping.mapper();
         let map = mapper.map();
         let interval = SENT_EVERY * (1 + map.keyframes.len() as u32 / 1000);
-        if !mapper.is_straightened() || self.sent.is_some_and(|sent| sent.elapsed() < interval) {
+        if !mapper.is_corrected() || self.sent.is_some_and(|sent| sent.elapsed() < interval) {
             return;
         }
         let loops = map.edges.iter().filter(|edge| edge.kind == EdgeKind::Loop).count();

@@ -1,0 +1,87 @@
+//! The map file of a run, which is created with its first keyframe.
+
+use odograph::camera::{Camera, Rig};
+use odograph::error::{Error, Result};
+use odograph::ground_map::{
+    KeyframeImage, KeyframeImages, KeyframeStore, MapKeyframe, MemoryImages, MountedCamera,
+};
+use odograph::keyframe::{KeyframeId, MapEdge};
+use odograph_map::{MapClaim, MapFile};
+use std::path::PathBuf;
+
+/// A map file that is created with its first keyframe: a run without one leaves no file.
+pub struct GrowingMapFile {
+    pub file: Option<MapFile>,
+    /// Whether a map of an earlier run may be replaced; permission was checked with the folder.
+    pub replaces: bool,
+    /// `None` where the file is not to be written.
+    pub claim: Option<MapClaim>,
+    pub path: PathBuf,
+    pub camera: Camera,
+    pub rig: Rig,
+    pub source: String,
+    pub robot: Option<String>,
+    pub session: u32,
+    /// The new keyframes, where the file is not to be written.
+    pub kept: Option<MemoryImages>,
+}
+
+impl GrowingMapFile {
+    fn open(&mut self) -> Result<&mut MapFile> {
+        if let (None, Some(claim)) = (&self.file, &self.claim) {
+            if self.replaces {
+                claim.remove_map()?;
+            }
+            let mut file = MapFile::create_claimed(claim.clone(), &self.camera, &self.rig)?;
+            self.session = self.begin_session(&mut file)?;
+            self.file = Some(file);
+        }
+        match &mut self.file {
+            Some(file) => Ok(file),
+            None => Err(Error::output("the map file is not open")),
+        }
+    }
+
+    pub fn begin_session(&self, file: &mut MapFile) -> Result<u32> {
+        match &self.robot {
+            // What a robot sends from here is with its own mount.
+            Some(robot) => {
+                let mounted = MountedCamera { camera: self.camera.clone(), rig: self.rig };
+                file.begin_session_by(robot, &self.source, Some(&mounted))
+            }
+            None => file.begin_session(&self.source),
+        }
+    }
+
+    pub fn set_poses(&mut self, keyframes: &[MapKeyframe]) -> Result<()> {
+        let Some(file) = self.file.as_mut().filter(|_| self.kept.is_none()) else { return Ok(()) };
+        let poses: Vec<_> =
+            keyframes.iter().map(|keyframe| (keyframe.id, keyframe.pose, keyframe.covariance)).collect();
+        file.set_poses(&poses)
+    }
+}
+
+impl KeyframeImages for GrowingMapFile {
+    fn load(&mut self, keyframe: KeyframeId) -> Result<KeyframeImage> {
+        if let Some(image) = self.kept.as_mut().and_then(|kept| kept.load(keyframe).ok()) {
+            return Ok(image);
+        }
+        self.open()?.load(keyframe)
+    }
+}
+
+impl KeyframeStore for GrowingMapFile {
+    fn keep(&mut self, keyframe: &MapKeyframe, image: KeyframeImage, ties: &[MapEdge]) -> Result<()> {
+        match &mut self.kept {
+            Some(kept) => kept.keep(keyframe, image, ties),
+            None => self.open()?.add_keyframe(keyframe, &image, ties),
+        }
+    }
+
+    fn add_edge(&mut self, edge: &MapEdge) -> Result<()> {
+        match &mut self.kept {
+            Some(_) => Ok(()),
+            None => self.open()?.add_edges(std::slice::from_ref(edge)),
+        }
+    }
+}

@@ -1,0 +1,67 @@
+//! Self-calibration in passes over a recording: what ends a pass, and the examination before the
+//! only pass of a run that continues a map.
+
+use crate::observer::Observer;
+use crate::plan::RunPlan;
+use odograph::error::Result;
+use odograph::motion::MotionModel;
+use odograph::self_calibration::{CameraDifference, CameraMonitor, MultiPassCalibration};
+
+/// Number of pairs of views at the beginning of a recording that are examined before a map is
+/// continued: more show a smaller difference, but these frames are tracked twice.
+const EXAMINED_PAIRS: usize = 32;
+
+/// The camera of the plan. What cannot be read twice is tracked once, whatever is found; nothing is
+/// calibrated where the plan fixes the motion model.
+pub fn calibration_of(plan: &RunPlan) -> MultiPassCalibration {
+    let readable_again =
+        std::fs::metadata(&plan.source.path).is_ok_and(|there| there.is_file() || there.is_dir());
+    let mut calibration = MultiPassCalibration::new(plan.camera.clone(), plan.rig);
+    calibration.correction = plan.correction.clone();
+    calibration.calibrates = readable_again && plan.odometry.motion.model == MotionModel::Auto;
+    calibration.corrects_pattern = readable_again;
+    calibration
+}
+
+/// Replaces the camera of the plan by the assumed one.
+pub fn assume(plan: &mut RunPlan, calibration: &MultiPassCalibration) {
+    plan.camera = calibration.camera.clone();
+    plan.rig = calibration.rig;
+    plan.correction = calibration.correction.clone();
+}
+
+/// A continued map keeps what a run adds, so the beginning of the recording is examined before the
+/// run, which then is a single pass. The lens is the map's.
+pub fn examine_beginning(
+    plan: &mut RunPlan,
+    calibration: &mut MultiPassCalibration,
+    observer: &dyn Observer,
+) -> Result<()> {
+    calibration.lens_is_known = true;
+    while calibration.calibrates {
+        match difference_at_beginning(plan, calibration.monitor(), observer)? {
+            Some(difference) => calibration.apply(difference),
+            None => calibration.calibrates = false,
+        }
+        assume(plan, calibration);
+    }
+    calibration.corrects_pattern = false;
+    Ok(())
+}
+
+fn difference_at_beginning(
+    plan: &RunPlan,
+    mut monitor: CameraMonitor,
+    observer: &dyn Observer,
+) -> Result<Option<CameraDifference>> {
+    let mut source = plan.source.open()?;
+    let mut odometry = plan.odometry()?;
+    while let Some(frame) = source.next_frame()? {
+        let estimate = odometry.process(frame.gray, frame.time_s)?;
+        let difference = monitor.watch(&estimate, &odometry);
+        if difference.is_some() || monitor.pairs() >= EXAMINED_PAIRS || observer.is_stop_asked() {
+            return Ok(difference);
+        }
+    }
+    Ok(None)
+}
