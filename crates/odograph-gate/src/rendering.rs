@@ -5,7 +5,6 @@ use crate::compression;
 use crate::rows::{BenchmarkRow, camera};
 use odograph::camera::Rig;
 use odograph::error::{Error, Result};
-use odograph::geometry::GroundPose;
 use odograph::trajectory::{StampedPose, Trajectory};
 use odograph_simulation::{Path, Simulation, SimulationConfig, Texture};
 
@@ -53,9 +52,7 @@ pub fn render(row: &BenchmarkRow, seed: u64) -> Result<Clip> {
 /// z = 0 as its mount says: that is the world of a trajectory.
 fn level_at_first(truth: &mut Trajectory, rig: &Rig) {
     let Some(first) = truth.poses.first() else { return };
-    let stands =
-        GroundPose::from_world_from_camera(&first.world_from_camera).with_mount_of(&rig.first_pose());
-    let levelled = stands.world_from_camera() * first.world_from_camera.inverse();
+    let levelled = rig.first_pose().world_from_camera() * first.world_from_camera.inverse();
     for pose in &mut truth.poses {
         pose.world_from_camera = levelled * pose.world_from_camera;
     }

@@ -1,7 +1,7 @@
 //! Uneven ground as a height field: stones, undulation, kerbs and ramps.
 
 use super::noise::{cell, mix, smooth_step};
-use nalgebra::Rotation3;
+use nalgebra::{Rotation3, Vector3};
 use odograph::error::{Error, Result};
 use odograph::geometry::{GroundPoint, GroundPose, wrap_angle};
 use serde::{Deserialize, Serialize};
@@ -286,12 +286,15 @@ impl TerrainSurface {
             * Rotation3::from_euler_angles(0.0, 0.0, -heading);
         let own = Rotation3::from_euler_angles(pose.roll_rad, pose.pitch_rad, pose.heading_rad);
         let (roll_rad, pitch_rad, heading_rad) = (lean * own).euler_angles();
+        // The mast stands upright on the vehicle, not on the plane z = 0.
+        let mast = lean * Vector3::new(0.0, 0.0, pose.height_m);
         GroundPose {
-            height_m: pose.height_m + level_m - from_m,
+            x_m: pose.x_m + mast.x,
+            y_m: pose.y_m + mast.y,
+            height_m: mast.z + level_m - from_m,
             heading_rad: pose.heading_rad + wrap_angle(heading_rad - pose.heading_rad),
             roll_rad,
             pitch_rad,
-            ..pose
         }
     }
 

@@ -14,6 +14,8 @@ use nalgebra::{Matrix3, Matrix6, Vector3};
 pub struct Nuisance<'a> {
     pub observations: Observations<'a>,
     keyframe_axes: Axes,
+    /// Mean elevation of the points, metres.
+    level_m: f64,
     /// Root of the covariance of the keyframe's height, roll and pitch: zero where they are known.
     keyframe_root: Matrix3<f64>,
     skew_sigma: PoseRates,
@@ -42,9 +44,11 @@ impl<'a> Nuisance<'a> {
             _ => WITH_KEYFRAME,
         };
         let values = [0.0; WITH_SKEW - POSE];
+        let elevations = observations.seen.iter().map(|seen| seen.elevation.mean_m);
         Self {
             observations,
             keyframe_axes: Axes::new(keyframe_pose),
+            level_m: elevations.sum::<f64>() / observations.seen.len().max(1) as f64,
             keyframe_root,
             skew_sigma,
             count,
@@ -58,12 +62,13 @@ impl<'a> Nuisance<'a> {
         if self.count == POSE {
             return;
         }
-        let [x_by_pose, y_by_pose] =
-            ground_by_pose(observation, self.observations.keyframe_pose, &self.keyframe_axes);
+        let [x_by_pose, y_by_pose, z_by_pose] = self.point_by_keyframe(observation);
         let (keyframe, skew) = self.values.split_at(WITH_KEYFRAME - POSE);
         for k in 0..2 {
             let row = &residual.by_pose[k];
-            let by_rig = Vector3::from_fn(|i, _| -row[0] * x_by_pose[3 + i] - row[1] * y_by_pose[3 + i]);
+            let by_rig = Vector3::from_fn(|i, _| {
+                -row[0] * x_by_pose[3 + i] - row[1] * y_by_pose[3 + i] - row[3] * z_by_pose[3 + i]
+            });
             let by_keyframe = self.keyframe_root.tr_mul(&by_rig);
             residual.error[k] += by_keyframe.iter().zip(keyframe).map(|(by, value)| by * value).sum::<f64>();
             let by_skew = row.iter().zip(&self.skew_sigma).zip(skew);
@@ -74,6 +79,19 @@ impl<'a> Nuisance<'a> {
         let error = nalgebra::Vector2::from(residual.error);
         residual.distance_px =
             observation.whitening.try_inverse().map_or(error, |inverse| inverse * error).norm();
+    }
+
+    /// Derivative of a point by the pose of the keyframe. Elevations were measured in metres of the
+    /// keyframe's height over the ground: where that is off they are off by the same factor.
+    fn point_by_keyframe(&self, observation: &Observation) -> [[f64; POSE]; 3] {
+        let pose = self.observations.keyframe_pose;
+        let [mut x, mut y] = ground_by_pose(observation, pose, &self.keyframe_axes);
+        let height_m = pose.height_m - self.level_m;
+        x[3] = (observation.ground.x_m - pose.x_m) / height_m;
+        y[3] = (observation.ground.y_m - pose.y_m) / height_m;
+        let mut z = [0.0; POSE];
+        z[3] = (observation.elevation.mean_m - self.level_m) / height_m;
+        [x, y, z]
     }
 
     /// Eliminates the elevation of the point (Schur complement): the residual has less weight along
@@ -228,17 +246,19 @@ impl<'a> Nuisance<'a> {
         share: impl Fn(&Observation) -> f64,
     ) -> [Row; POSE] {
         let mut slopes = [[0.0; WITH_SKEW]; POSE];
-        let Observations { seen, keyframe_pose, .. } = self.observations;
+        let Observations { seen, .. } = self.observations;
         for ((observation, residual), &weight) in seen.iter().zip(residuals).zip(weights) {
             if weight <= 0.0 {
                 continue;
             }
-            let [x_by_pose, y_by_pose] = ground_by_pose(observation, keyframe_pose, &self.keyframe_axes);
+            let [x_by_pose, y_by_pose, z_by_pose] = self.point_by_keyframe(observation);
             let weight = weight * share(observation);
             for k in 0..2 {
                 let row = self.row(observation, residual, k, count);
                 // A displacement of the point is the opposite displacement of the camera.
-                let change: [f64; 6] = std::array::from_fn(|n| row[0] * x_by_pose[n] + row[1] * y_by_pose[n]);
+                let change: [f64; 6] = std::array::from_fn(|n| {
+                    row[0] * x_by_pose[n] + row[1] * y_by_pose[n] + row[3] * z_by_pose[n]
+                });
                 for (slope, change) in slopes.iter_mut().zip(change) {
                     let weighted = weight * change;
                     slope.iter_mut().zip(&row).take(count).for_each(|(sum, by)| *sum += weighted * by);

@@ -20,9 +20,10 @@ pub struct RigPrior {
 }
 
 impl RigPrior {
-    /// The product of this prior and the one that the last frames give.
-    fn after(mut self, variations: &[Variation; 3]) -> Self {
-        for (i, variation) in variations.iter().enumerate() {
+    /// The product of this prior and the one that the last frames give, for all but the first
+    /// `known` of height, roll and pitch.
+    fn after(mut self, variations: &[Variation; 3], known: usize) -> Self {
+        for (i, variation) in variations.iter().enumerate().skip(known) {
             let Some((mean, variance)) = variation.prediction(if i == 0 { self.mean[0] } else { 1.0 }) else {
                 continue;
             };
@@ -185,10 +186,10 @@ pub struct RigPriorEstimator {
     deviations: [Deviation; 3],
     mount_tilt: [MountTilt; 2],
     variations: [Variation; 3],
-    /// Elevation of the ground in view, of this frame and of the keyframe, metres.
+    /// Elevation above which the mount has its height, of this frame and of the keyframe, metres.
     ground_level_m: f64,
     keyframe_ground_level_m: f64,
-    /// Variance of the mean elevations of the four quarters of the view, metres².
+    /// Variance of the level above which the mount has its height, metres²: zero on flat ground.
     unevenness_m2: f64,
     residual_correlation: ResidualCorrelation,
 }
@@ -283,8 +284,12 @@ impl RigPriorEstimator {
                 let process_variance = self.process_variance();
                 let mut sigma = [0, 1, 2].map(|i| process_variance[i].sqrt().max(min_sigma[i]));
                 sigma[0] = sigma[0].hypot(self.unevenness_m2.sqrt());
+                // The last frames' height has the error of the scale that the keyframe's has: over
+                // uneven ground it would confirm that, and tracks determine the height without it.
+                let is_uneven = self.unevenness_m2.sqrt() > MIN_STEP_SIGMA * self.nominal[0];
+                let known = usize::from(is_uneven);
                 RigPrior { mean: self.mount(), sigma, mount_share: [1.0; 3], shared_fraction }
-                    .after(&self.variations)
+                    .after(&self.variations, known)
             }
             _ => {
                 // Height and tilt as they were: an extrapolated mean would let their errors grow.
@@ -358,8 +363,7 @@ impl RigPriorEstimator {
         ]
     }
 
-    /// Sets the elevation of the ground in view, metres, above which the mount has its height, and
-    /// its variance, by which the ground below the carrier may differ.
+    /// Sets the elevation, metres, above which the mount has its height, and its variance.
     pub fn set_ground_level(&mut self, ground_level_m: f64, unevenness_m2: f64) {
         (self.ground_level_m, self.unevenness_m2) = (ground_level_m, unevenness_m2);
     }

@@ -229,6 +229,35 @@ fn a_tilt_error_of_the_keyframe_is_estimated_with_the_pose() {
 }
 
 #[test]
+fn elevations_in_metres_of_the_keyframe_do_not_measure_its_height() {
+    let keyframe = GroundPose::level(1.0);
+    let to = GroundPose { x_m: 0.25, y_m: -0.15, heading_rad: 0.4, height_m: 1.02, ..keyframe };
+    let uneven = |(index, seen): (usize, &Observation)| {
+        let mean_m = 0.1 + 0.05 * (0.7 * index as f64).sin();
+        let ray = crate::geometry::Ray::new(seen.ground.x_m - keyframe.x_m, seen.ground.y_m - keyframe.y_m);
+        let ground =
+            GroundPoint::new(keyframe.x_m + (1.0 - mean_m) * ray.x, keyframe.y_m + (1.0 - mean_m) * ray.y);
+        let pixel = ViewingPose::new(to).pixel(&camera(), ground, mean_m)?;
+        let elevation = Elevation { mean_m, variance_m2: 1e-6 };
+        Some(Observation { ground, elevation, pixel, ..*seen })
+    };
+    let flat = observations(&to, 0.0, 0.0, 1);
+    let seen: Vec<Observation> = flat.iter().enumerate().filter_map(uneven).collect();
+    let sigma_m: f64 = 0.01;
+    let keyframe_covariance = &Matrix3::from_diagonal(&nalgebra::Vector3::new(sigma_m * sigma_m, 0.0, 0.0));
+    let observations =
+        Observations { seen: &seen, keyframe_pose: &keyframe, keyframe_covariance, shutter: None };
+    let prior =
+        RigPrior { mean: [1.0, 0.0, 0.0], sigma: [0.3; 3], mount_share: [1.0; 3], shared_fraction: 0.0 };
+    let config = MotionConfig { model: MotionModel::Free, ..Default::default() };
+    let found = estimate(&camera(), observations, &to, &prior, &config, &mut Random::new(1)).unwrap();
+    let error = found.keyframe_error.unwrap();
+    // The prior of the frame's height tells a thousandth.
+    assert!(error.covariance[(0, 0)].sqrt() > 0.98 * sigma_m, "{}", error.covariance);
+    assert!((found.pose.x_m - 0.25).abs() < 1e-4, "{:?}", found.pose);
+}
+
+#[test]
 fn auto_is_rigid_on_a_steady_mount_and_opens_for_a_push() {
     let mount = GroundPose::level(1.0);
     let steady = GroundPose { x_m: 0.1, y_m: -0.05, heading_rad: 0.2, ..mount };

@@ -6,6 +6,7 @@ use super::last_pose::LastPose;
 use super::shutter::ShutterState;
 use crate::camera::Camera;
 use crate::geometry::GroundPose;
+use crate::geometry::pose_index::HEIGHT;
 use crate::motion::{
     MotionEstimate, MotionModel, PoseRates, RigPriorEstimator, RollingShutter, Roughness, ShutterPrior,
     Unevenness, ViewingPose,
@@ -27,7 +28,8 @@ pub struct Learned {
     /// How rough the ground is.
     roughness: Roughness,
     least_relief_m2: f64,
-    /// Variance of the relative scale on undulating ground: the mean over this number of frames.
+    /// Variance of the relative scale where the ground may be rough: the mean over this number of
+    /// frames.
     scale_variance: f64,
     uneven_frames: f64,
     /// The path so far times the length over which the scale is the same, metres².
@@ -43,9 +45,13 @@ const INLIER_RATIO_RATE: f64 = 0.2;
 /// costs nothing: elevations within it are determined by their parallax.
 const LEAST_RELIEF: f64 = 0.01;
 
-/// Length of the path over which undulating ground has the same error of the scale, in heights:
-/// twice what is in view.
+/// Length of the path over which rough ground has the same error of the scale, in heights: twice
+/// what is in view.
 const SAME_SCALE: f64 = 2.0;
+
+/// Independent elevations in the view of a keyframe, as many as gravel and undulating ground were
+/// measured to have.
+const ELEVATIONS_IN_VIEW: f64 = 10.0;
 
 /// Where at least this part of the tracks agrees, all of them are on the ground.
 const ALL_GROUND: f64 = 0.9;
@@ -112,16 +118,15 @@ impl Learned {
         self.frame_shutter = both.and_then(|(last, shutter)| shutter.prior(last, time_s));
     }
 
-    /// Learns the roughness of the ground, and its level below the camera, from a measured frame.
-    pub fn saw_relief(
+    /// Learns the elevations of a keyframe's corners, and how rough the ground is, from a measured
+    /// frame. Whether the ground was taken to be flat until now and is not.
+    pub fn saw_elevations(
         &mut self,
         keyframe: &mut Keyframe,
         found: &[FoundCorner],
         estimate: &MotionEstimate,
         camera: &Camera,
-        last: Option<&LastPose>,
-    ) {
-        last.into_iter().for_each(|last| self.walk(estimate, last));
+    ) -> bool {
         let was_flat = self.relief_m2() == 0.0;
         let sees_kerbs = self.shutter.as_ref().is_none_or(ShutterState::is_sure);
         self.roughness.learn(&keyframe.learn_elevations(found, estimate, camera, sees_kerbs));
@@ -130,10 +135,28 @@ impl Learned {
             Some(Unevenness::NewGround) => keyframe.leave_plane(),
             None => {}
         }
-        if was_flat && self.relief_m2() > 0.0 {
-            // What was taken for a movement of the rig was the shape of the ground.
+        let becomes_rough = was_flat && self.relief_m2() > 0.0;
+        if becomes_rough {
+            // What was taken for a movement of the rig, or a skew, was the shape of the ground.
             self.rig_prior.reset();
+            self.shutter.iter_mut().for_each(ShutterState::forget_evidence);
+            // Where the path has just begun the scale is that of this view.
+            if self.path_m2.trace() < (SAME_SCALE * keyframe.pose.height_m).powi(2) {
+                keyframe.covariance[(HEIGHT, HEIGHT)] += self.relief_m2() / ELEVATIONS_IN_VIEW;
+            }
         }
+        becomes_rough
+    }
+
+    /// Learns the level of the ground below the camera from a measured frame.
+    pub fn saw_level(
+        &mut self,
+        keyframe: &Keyframe,
+        found: &[FoundCorner],
+        estimate: &MotionEstimate,
+        last: Option<&LastPose>,
+    ) {
+        last.into_iter().for_each(|last| self.walk(estimate, last));
         let (mut level, mut weights) = (0.0, 0.0);
         let mut quadrants = [(0.0, 0.0); 4];
         for ((found, seen), agrees) in found.iter().zip(&estimate.elevations).zip(&estimate.inliers) {
@@ -151,16 +174,16 @@ impl Learned {
         self.rig_prior.set_ground_level(level_m, 0.25 * squares);
         // Outliers may be a bumper that slides over the ground.
         let agree = estimate.inlier_count() as f64 >= ALL_GROUND * estimate.inliers.len() as f64;
-        let suspected = if self.relief_m2() == 0.0 && agree { self.roughness.suspected_m2() } else { 0.0 };
-        let variance_m2 = if keyframe.undulates() { 0.25 * squares } else { suspected };
-        let relative = variance_m2 / estimate.pose.height_m.powi(2);
+        let is_suspected = self.relief_m2() == 0.0 && agree && !keyframe.undulates();
+        let suspected_m2 = if is_suspected { self.roughness.suspected_m2() } else { 0.0 };
+        let relative = suspected_m2 / estimate.pose.height_m.powi(2);
         self.uneven_frames += 1.0;
         self.scale_variance += (relative - self.scale_variance) / self.uneven_frames;
     }
 
-    /// What undulating ground adds to the covariance of a pose: the height of the rig is above the
-    /// ground on which its wheels stand, which is not that in view. Steps are too long or too short
-    /// by a scale that is the same over some length of the path and independent beyond it.
+    /// What ground that may be rough, and is taken for flat, adds to the covariance of a pose.
+    /// Steps are too long or too short by a scale that is the same over some length of the path and
+    /// independent beyond it.
     pub fn level_covariance(&self, pose: &GroundPose) -> Matrix6<f64> {
         let mut covariance = Matrix6::zeros();
         let across_m2 = ACROSS_PATH * ACROSS_PATH * self.path_m2.trace();

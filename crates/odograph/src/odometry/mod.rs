@@ -111,13 +111,10 @@ const MOST_MASKED: f64 = 0.95;
 /// Number of steps that determine the time between frames, and the longest readout as a fraction of
 /// it: times are rounded.
 const STEPS_BEFORE_JUDGING: u64 = 10;
-/// Independent elevations in the view of a keyframe, as many as gravel and undulating ground were
-/// measured to have.
-const ELEVATIONS_IN_VIEW: f64 = 10.0;
+const LONGEST_READOUT: f64 = 1.05;
 
 /// Frames from one look at the elevation below a keyframe to the next, where the ground is rough.
 const LEVELLED_EVERY: u64 = 4;
-const LONGEST_READOUT: f64 = 1.05;
 
 impl Odometry {
     /// A pipeline for one recording. Fails where the rig or a parameter cannot be.
@@ -235,7 +232,7 @@ impl Odometry {
         };
         self.learned.predict_shutter(self.last.as_ref(), time_s);
         let measured = self.measure(&pyramid, time_s).and_then(|found| self.distrust(found, since_last));
-        let frame = match measured {
+        let frame = match measured.map(|found| self.with_elevations(&pyramid, time_s, found)) {
             Ok(measurement) => self.accept(pyramid, time_s, measurement),
             Err(reason) => self.lose(pyramid, time_s, reason),
         };
@@ -326,6 +323,25 @@ impl Odometry {
         measured.map(|measurement| self.confirm(pyramid, measurement))
     }
 
+    /// Learns the elevations of the ground from a measured frame. If it is not flat, the frame is
+    /// measured once more: its pose, and with it all elevations, had a plane forced on them.
+    fn with_elevations(&mut self, pyramid: &Pyramid, time_s: f64, measured: Measurement) -> Measurement {
+        let Some(keyframe) = &mut self.keyframe else { return measured };
+        let Measurement { found, estimate, .. } = &measured;
+        if !self.learned.saw_elevations(keyframe, found, estimate, &self.camera) {
+            return measured;
+        }
+        keyframe.forget_elevations(&self.camera);
+        let Ok(again) = self.measure_near(pyramid, time_s) else { return measured };
+        if let Some(keyframe) = &mut self.keyframe {
+            self.learned.saw_elevations(keyframe, &again.found, &again.estimate, &self.camera);
+            if keyframe.surface.is_none() {
+                keyframe.set_level(&self.camera, self.learned.relief_m2());
+            }
+        }
+        again
+    }
+
     /// A measured frame: its pose improved by the filter, and perhaps the next keyframe.
     fn accept(&mut self, pyramid: Pyramid, time_s: f64, measurement: Measurement) -> FrameEstimate {
         let inlier_ratio = self.keyframe.as_ref().map(|k| measurement.inlier_ratio(k, &self.camera));
@@ -336,8 +352,6 @@ impl Odometry {
             let [of_roll, of_pitch] = self.learned.rig_prior.mount_tilt_variance();
             covariance[(4, 4)] += of_roll;
             covariance[(5, 5)] += of_pitch;
-            // The height of the rig is above the mean of the few elevations in view.
-            covariance[(3, 3)] += self.learned.relief_m2() / ELEVATIONS_IN_VIEW;
         }
         let by_keyframe = estimate.by_keyframe;
         if let Some((moved, _)) = &learned_keyframe {
@@ -372,7 +386,7 @@ impl Odometry {
             self.learned.rig_prior.learn(&estimate, &keyframe, propagated);
         }
         if let Some(keyframe) = &mut self.keyframe {
-            self.learned.saw_relief(keyframe, &found, &estimate, &self.camera, self.last.as_ref());
+            self.learned.saw_level(keyframe, &found, &estimate, self.last.as_ref());
             if keyframe.surface.is_none() && self.frames.is_multiple_of(LEVELLED_EVERY) {
                 keyframe.set_level(&self.camera, self.learned.relief_m2());
             }

@@ -119,6 +119,19 @@ impl ShutterState {
         self.history.clone_from(&before.history);
     }
 
+    /// Drops what frames showed under a wrong shape of the ground, unless the readout time is sure:
+    /// uneven ground looks like a skew. With free elevations a skew along the motion cannot be told
+    /// from a slope, so that none is fitted until it is seen.
+    pub fn forget_evidence(&mut self) {
+        if self.phase == ShutterDecision::Settled
+            || (self.phase == ShutterDecision::Rolling && self.is_sure())
+        {
+            return;
+        }
+        (self.readout, self.phase) = (self.first, ShutterDecision::TakenGlobal);
+        (self.serving, self.past, self.waiting) = Default::default();
+    }
+
     /// The readout time as it is known now.
     pub fn readout(&self) -> Readout {
         self.readout

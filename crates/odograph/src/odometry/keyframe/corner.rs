@@ -58,6 +58,31 @@ impl KeyCorner {
     /// Drops the measured elevations: they were measured under another calibration.
     pub(super) fn forget_elevations(&mut self) {
         (self.measured, self.seen_before, self.confirmations) = (None, None, 0);
+        self.information_taken_over = 0.0;
+    }
+
+    /// Projects it onto the ground again: at an elevation of its own where frames measured it.
+    pub(super) fn project_again(&mut self, ground: &GroundProjection<'_>) {
+        let centre = self.template.centre();
+        let own = self.elevation.filter(|_| self.has_own_elevation());
+        let projected = match own {
+            Some(own) => ground.patch_at(centre, own.mean_m).map(|patch| (patch, Some(own))),
+            None => ground.patch(centre),
+        };
+        if let Some((patch, elevation)) = projected {
+            (self.patch, self.elevation) = (patch, elevation);
+        }
+    }
+
+    fn has_own_elevation(&self) -> bool {
+        self.is_on_kerb || self.information_taken_over > 0.0
+    }
+
+    /// Raises the ground by `by_m`.
+    pub(super) fn raise(&mut self, by_m: f64) {
+        let own = self.elevation.as_mut();
+        let measured = self.measured.as_mut().map(|measured| &mut measured.elevation);
+        own.into_iter().chain(measured).for_each(|elevation| elevation.mean_m += by_m);
     }
 
     /// Compares its elevation with that of an earlier frame, where the parallax has grown enough
@@ -95,8 +120,7 @@ impl KeyCorner {
     /// whose elevation was last taken over.
     pub(super) fn surpasses(&self, seen: &MeasuredElevation) -> bool {
         let prior_counts = 1.0 - seen.elevation.variance_m2 * seen.information;
-        (self.is_on_kerb || self.elevation.is_some())
-            && seen.elevation.variance_m2 > 0.0
+        seen.elevation.variance_m2 > 0.0
             && prior_counts < 1.0 / (1.0 + LONGER_PARALLAX)
             && seen.information > LONGER_PARALLAX * self.information_taken_over
     }

@@ -43,9 +43,7 @@ impl Keyframe {
         }
         let below = surface.at(GroundPoint::new(self.pose.x_m, self.pose.y_m));
         self.level_m -= below.mean_m;
-        self.corners.iter_mut().filter_map(|corner| corner.measured.as_mut()).for_each(|measured| {
-            measured.elevation.mean_m -= below.mean_m;
-        });
+        self.corners.iter_mut().for_each(|corner| corner.raise(-below.mean_m));
         self.project_again(camera);
     }
 
@@ -87,6 +85,15 @@ impl Keyframe {
         let highest_m = MAX_KERB_HEIGHT * self.pose.height_m;
         let new = self.corners.iter_mut().filter(|corner| corner.is_on_new_ground && !corner.is_on_kerb);
         new.for_each(|corner| corner.put_on_kerb(highest_m));
+    }
+
+    /// Drops what frames measured of elevations, among them those of kerbs, under a wrong pose.
+    pub fn forget_elevations(&mut self, camera: &Camera) {
+        self.corners.iter_mut().for_each(|corner| {
+            corner.forget_elevations();
+            corner.is_on_kerb = false;
+        });
+        self.project_again(camera);
     }
 
     /// Learns the elevations of its corners from a frame measured against it, and how rough the

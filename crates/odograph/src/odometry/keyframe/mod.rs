@@ -255,11 +255,7 @@ impl Keyframe {
     fn project_again(&mut self, camera: &Camera) {
         let ground =
             GroundProjection::new(camera, &self.pose, &self.shutter, (self.level_m, self.surface.as_ref()));
-        for corner in &mut self.corners {
-            if let Some((patch, elevation)) = ground.patch(corner.template.centre()) {
-                (corner.patch, corner.elevation) = (patch, elevation);
-            }
-        }
+        self.corners.iter_mut().for_each(|corner| corner.project_again(&ground));
     }
 
     /// In which quarter of the image a corner is.
