@@ -101,7 +101,7 @@ fn only_the_listed_files_of_the_run_are_served() {
         assert_eq!(status(&answer), "404", "{path}: {answer}");
         assert!(!answer.contains("secret"), "{path}");
     }
-    // The page is told of tiles that have become empty, and asks for them.
+    // The page is notified of tiles that have become empty, and asks for them.
     for path in ["/tiles/1/0.png", "/tiles/1/-9223372036854775808.png"] {
         let answer = get(address, path, "");
         assert!(status(&answer) == "204" && !answer.contains("Content-Length"), "{path}: {answer}");

@@ -20,10 +20,9 @@ pub struct RigPrior {
 }
 
 impl RigPrior {
-    /// The product of this prior and the one that the last frames give, for all but the first
-    /// `known` of height, roll and pitch.
-    fn after(mut self, variations: &[Variation; 3], known: usize) -> Self {
-        for (i, variation) in variations.iter().enumerate().skip(known) {
+    /// The product of this prior and the one that the last frames give.
+    fn after(mut self, variations: &[Variation; 3]) -> Self {
+        for (i, variation) in variations.iter().enumerate() {
             let Some((mean, variance)) = variation.prediction(if i == 0 { self.mean[0] } else { 1.0 }) else {
                 continue;
             };
@@ -284,12 +283,8 @@ impl RigPriorEstimator {
                 let process_variance = self.process_variance();
                 let mut sigma = [0, 1, 2].map(|i| process_variance[i].sqrt().max(min_sigma[i]));
                 sigma[0] = sigma[0].hypot(self.unevenness_m2.sqrt());
-                // The last frames' height has the error of the scale that the keyframe's has: over
-                // uneven ground it would confirm that, and tracks determine the height without it.
-                let is_uneven = self.unevenness_m2.sqrt() > MIN_STEP_SIGMA * self.nominal[0];
-                let known = usize::from(is_uneven);
                 RigPrior { mean: self.mount(), sigma, mount_share: [1.0; 3], shared_fraction }
-                    .after(&self.variations, known)
+                    .after(&self.variations)
             }
             _ => {
                 // Height and tilt as they were: an extrapolated mean would let their errors grow.
@@ -366,17 +361,6 @@ impl RigPriorEstimator {
     /// Sets the elevation, metres, above which the mount has its height, and its variance.
     pub fn set_ground_level(&mut self, ground_level_m: f64, unevenness_m2: f64) {
         (self.ground_level_m, self.unevenness_m2) = (ground_level_m, unevenness_m2);
-    }
-
-    /// Forgets the variation of a mounted rig and the tilt of its mount. One that moves from frame
-    /// to frame does so over any ground.
-    pub fn reset(&mut self) {
-        if !self.is_mounted() {
-            return;
-        }
-        self.deviations = Default::default();
-        self.mount_tilt = [MountTilt::UNKNOWN; 2];
-        self.variations = Default::default();
     }
 
     /// The next frame does not follow the last one: over a gap, changes do not go on.

@@ -6,7 +6,6 @@ use super::last_pose::LastPose;
 use super::shutter::ShutterState;
 use crate::camera::Camera;
 use crate::geometry::GroundPose;
-use crate::geometry::pose_index::HEIGHT;
 use crate::motion::{
     MotionEstimate, MotionModel, PoseRates, RigPriorEstimator, RollingShutter, Roughness, ShutterPrior,
     Unevenness, ViewingPose,
@@ -48,10 +47,6 @@ const LEAST_RELIEF: f64 = 0.01;
 /// Length of the path over which rough ground has the same error of the scale, in heights: twice
 /// what is in view.
 const SAME_SCALE: f64 = 2.0;
-
-/// Independent elevations in the view of a keyframe, as many as gravel and undulating ground were
-/// measured to have.
-const ELEVATIONS_IN_VIEW: f64 = 10.0;
 
 /// Where at least this part of the tracks agrees, all of them are on the ground.
 const ALL_GROUND: f64 = 0.9;
@@ -137,13 +132,8 @@ impl Learned {
         }
         let becomes_rough = was_flat && self.relief_m2() > 0.0;
         if becomes_rough {
-            // What was taken for a movement of the rig, or a skew, was the shape of the ground.
-            self.rig_prior.reset();
+            // What was taken for a skew was the shape of the ground.
             self.shutter.iter_mut().for_each(ShutterState::forget_evidence);
-            // Where the path has just begun the scale is that of this view.
-            if self.path_m2.trace() < (SAME_SCALE * keyframe.pose.height_m).powi(2) {
-                keyframe.covariance[(HEIGHT, HEIGHT)] += self.relief_m2() / ELEVATIONS_IN_VIEW;
-            }
         }
         becomes_rough
     }

@@ -33,6 +33,7 @@ use crate::camera::{Camera, Rig};
 use crate::error::{Error, Result};
 use crate::filter::ConstantAcceleration;
 use crate::fixed_pattern::{FixedPattern, ImageMask, NonuniformityCorrection, SinceLast};
+use crate::geometry::pose_index::{HEIGHT, PITCH, ROLL};
 use crate::geometry::{GroundPose, Pixel};
 use crate::image::{GrayImage, Interlacing, Pyramid, even_field};
 use crate::motion::{MotionEstimate, MotionModel, PoseRates, Readout};
@@ -115,6 +116,10 @@ const LONGEST_READOUT: f64 = 1.05;
 
 /// Frames from one look at the elevation below a keyframe to the next, where the ground is rough.
 const LEVELLED_EVERY: u64 = 4;
+
+/// Independent elevations in the view of a keyframe, as many as gravel and undulating ground were
+/// measured to have.
+const ELEVATIONS_IN_VIEW: f64 = 10.0;
 
 impl Odometry {
     /// A pipeline for one recording. Fails where the rig or a parameter cannot be.
@@ -350,8 +355,10 @@ impl Odometry {
         if let Some((_, covariance)) = learned_keyframe.as_mut().filter(|_| self.keyframes == 1) {
             // The first keyframe was taken to stand as the mount was said to.
             let [of_roll, of_pitch] = self.learned.rig_prior.mount_tilt_variance();
-            covariance[(4, 4)] += of_roll;
-            covariance[(5, 5)] += of_pitch;
+            covariance[(ROLL, ROLL)] += of_roll;
+            covariance[(PITCH, PITCH)] += of_pitch;
+            // The rig's height is above the mean elevation in view.
+            covariance[(HEIGHT, HEIGHT)] += self.learned.relief_m2() / ELEVATIONS_IN_VIEW;
         }
         let by_keyframe = estimate.by_keyframe;
         if let Some((moved, _)) = &learned_keyframe {
