@@ -1,14 +1,14 @@
 //! Loop closure candidates by appearance, where the predicted position is uncertain.
 
 use super::candidates::{Prior, Strength};
-use super::gate::{GATE, normalised_innovation_squared};
+use super::gate::{CONTRADICTION_GATE, GATE, normalised_innovation_squared};
 use crate::geometry::wrap_angle;
-use crate::keyframe::KeyframeId;
 use crate::keyframe::relative_pose::{compose, inverse};
+use crate::keyframe::{KeyframeId, MapEdge};
 use crate::loop_closure::matching::{CameraPose, Matcher};
 use crate::place_recognition::{PlaceHypothesis, PlaceIndex, Signature};
 use crate::pose_graph::{PoseGraph, Reach};
-use nalgebra::Vector4;
+use nalgebra::{Matrix4, Vector4};
 
 /// A recognised place.
 #[derive(Debug, Clone)]
@@ -25,7 +25,26 @@ impl Recognised {
     pub fn stands_alone(&self) -> bool {
         self.prior.as_ref().is_some_and(|prior| prior.strength != Strength::Weak)
     }
+
+    /// Whether a registered match is not where the graph predicts it.
+    pub fn contradicts(&self, edge: &MapEdge) -> bool {
+        self.innovation(&edge.motion, &edge.covariance) > GATE
+    }
+
+    /// Normalised innovation squared of a measured pose of the older keyframe. Zero without a
+    /// prediction, and across a gap: the camera may have been moved anywhere meanwhile.
+    pub fn innovation(&self, motion: &Vector4<f64>, covariance: &Matrix4<f64>) -> f64 {
+        let prior = self.prior.as_ref().filter(|prior| !prior.reached.across_gap);
+        prior.map_or(0.0, |prior| {
+            let covariance = prior.reached.covariance + covariance;
+            normalised_innovation_squared(motion, &covariance, &prior.reached.motion)
+        })
+    }
 }
+
+/// Factor of a gate for a pose by appearance alone, which is less exact than a registered one.
+/// Lower misses true loops, higher verifies more false ones.
+const UNREGISTERED: f64 = 4.0;
 
 /// Height ratios of a [`PlaceHypothesis`], whose scale is already that of its metres.
 const SAME_METRES: [f64; 2] = [1.0; 2];
@@ -62,14 +81,13 @@ pub fn recognise(
         }
         let motion = inverse(&hypothesis.motion, SAME_METRES);
         let prior = there.map(|one| Prior::new(one, matcher, new.1));
-        // An extrapolation across a gap is no constraint: the camera may have been moved anywhere
-        // meanwhile.
-        let possible = prior.as_ref().filter(|prior| !prior.reached.across_gap).is_none_or(|prior| {
-            normalised_innovation_squared(&motion, &prior.reached.covariance, &prior.reached.motion)
-                < 4.0 * GATE
-        });
-        if possible {
-            found.push((Recognised { id: hypothesis.keyframe, motion, prior }, hypothesis));
+        let mut recognised = Recognised { id: hypothesis.keyframe, motion, prior };
+        let innovation = recognised.innovation(&motion, &Matrix4::zeros());
+        if let Some(prior) = recognised.prior.as_mut().filter(|_| innovation > UNREGISTERED * GATE) {
+            prior.strength = Strength::Weak;
+        }
+        if innovation < UNREGISTERED * CONTRADICTION_GATE {
+            found.push((recognised, hypothesis));
         }
     }
     // All hypotheses must agree with the best on the new keyframe's pose, or score far less.

@@ -7,7 +7,7 @@
 
 use super::LoopClosureConfig;
 use super::candidates::{LoopCandidate, Prior, Strength};
-use super::gate::{GATE, normalised_innovation_squared};
+use super::gate::{CONTRADICTION_GATE, GATE, normalised_innovation_squared};
 use super::recognition::Recognised;
 use crate::geometry::pose_index::{HEADING, X, Y};
 use crate::geometry::{Sim2, WithCovariance, wrap_angle};
@@ -32,10 +32,6 @@ pub struct LoopClosure {
 /// Minimum number of matched corners: 10 % of the 400 of a keyframe. Fewer close loops over less
 /// overlap, and let patterns that repeat pass.
 const MIN_INLIERS: usize = 40;
-
-/// Gate within which a second match makes a loop ambiguous: three times the standard deviations of
-/// [`GATE`], because patterns repeat beyond what the prior admits.
-const RIVAL_GATE: f64 = 9.0 * GATE;
 
 /// Maximum error of a registration of whole images, pixels: the search range of the tracker that
 /// verifies it.
@@ -96,7 +92,9 @@ fn only_one(
     let best_score = guesses.first()?.score;
     let mut found: Option<LoopSighting> = None;
     for guess in guesses.iter().filter(|guess| guess.score >= RIVAL_SCORE * best_score) {
-        if normalised_innovation_squared(&guess.motion, &reached.covariance, &reached.motion) > RIVAL_GATE {
+        if normalised_innovation_squared(&guess.motion, &reached.covariance, &reached.motion)
+            > CONTRADICTION_GATE
+        {
             continue;
         }
         let Some(sighting) = matcher.find(query, reference, &guess.motion, GUESS_OFF_PX) else { continue };
@@ -119,7 +117,7 @@ fn elsewhere(a: &LoopSighting, b: &LoopSighting) -> bool {
 }
 
 /// Verifies a place recognised by its appearance. `None` if its corners are not matched, or it is
-/// not consistent with its prior.
+/// far from its prior.
 pub fn verify_recognised(
     matcher: &Matcher,
     query: &QueryKeyframe,
@@ -138,12 +136,10 @@ pub fn verify_recognised(
     if !is_clear(&found, config) && !looks_equal() {
         return None;
     }
-    let prior = recognised.prior.as_ref();
-    // An extrapolation across a gap is no constraint.
-    if prior.is_some_and(|prior| !prior.reached.across_gap && misses(&found, prior) > GATE) {
+    if recognised.innovation(&found.motion, &found.covariance) > CONTRADICTION_GATE {
         return None;
     }
-    let off = prior.map_or(Vector4::zeros(), |prior| found.motion - prior.reached.motion);
+    let off = recognised.prior.as_ref().map_or(Vector4::zeros(), |prior| found.motion - prior.reached.motion);
     Some(closure(new, recognised.id, &found, off))
 }
 

@@ -73,11 +73,12 @@ impl Mapper {
             let Some(reference) = self.reference(place.id, images)? else { continue };
             let closure =
                 verification::verify_recognised(&self.matcher, &query, &reference, place, new, &self.config);
-            match closure {
-                Some(closure) if place.stands_alone() => return self.accept(closure, images),
-                Some(closure) => return self.support(closure, images),
-                None => {}
+            let Some(closure) = closure else { continue };
+            let is_enough = place.stands_alone() || self.config.sightings < 2;
+            if is_enough && !place.contradicts(&closure.edge) {
+                return self.accept(closure, images);
             }
+            return self.support(closure, images);
         }
         // Registering whole images takes longest: only if the position is nearly known and
         // appearance found nothing.
@@ -113,9 +114,6 @@ impl Mapper {
     /// Accepts a match together with an earlier one that confirms it; otherwise keeps it as
     /// pending.
     fn support(&mut self, closure: LoopClosure, images: &mut dyn KeyframeStore) -> Result<()> {
-        if self.config.sightings < 2 {
-            return self.accept(closure, images);
-        }
         let second = self.pending.iter().position(|other| self.agree(other, &closure));
         if let Some(at) = second {
             let first = self.pending.remove(at);
