@@ -7,7 +7,15 @@ use std::error::Error;
 use std::num::{IntErrorKind, ParseFloatError, ParseIntError};
 
 /// The error of the option parser; of a wrong number it says what the option expects.
-pub fn in_words(error: clap::Error) -> clap::Error {
+pub fn in_words(mut error: clap::Error) -> clap::Error {
+    let escaped = |(kind, value): (ContextKind, &ContextValue)| match value {
+        ContextValue::String(text) => Some((kind, ContextValue::String(console::name(text)))),
+        _ => None,
+    };
+    let escaped: Vec<(ContextKind, ContextValue)> = error.context().filter_map(escaped).collect();
+    for (kind, value) in escaped {
+        error.insert(kind, value);
+    }
     match explained(&error) {
         Some(text) => clap::Error::raw(
             ErrorKind::ValueValidation,

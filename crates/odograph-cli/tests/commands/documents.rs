@@ -152,6 +152,8 @@ fn write_inputs(folder: &Path) {
     bags::write_robot(&folder.join("drive.mcap"), &["/front/image_raw"], &[], &fixes);
     write_fixes(folder);
     done(folder, "run drive.mp4 --camera camera.yaml --height 0.75 -o monday -q");
+    fs::create_dir(folder.join("odograph-demo")).unwrap();
+    copy(&folder.join("monday"), &folder.join("odograph-demo"));
     done(folder, "run drive.mp4 --camera camera.yaml --height 0.75 --start 1 -o yard --robot b -q");
     fs::rename(folder.join("yard/map.gpkg"), folder.join("yard.gpkg")).unwrap();
 }
@@ -233,6 +235,11 @@ fn every_command_of_the_documents_works() {
         copy(inputs.path(), folder);
         fs::create_dir(folder.join(".bin")).unwrap();
         symlink(env!("CARGO_BIN_EXE_odograph"), folder.join(".bin/odograph")).unwrap();
+        // One document makes the profile that others use.
+        let profile = "odograph profile save cart --camera camera.yaml --rig rig.toml";
+        if !of_document.iter().any(|shown| shown.command.starts_with(profile)) {
+            assert!(shell(folder, profile).status().unwrap().success());
+        }
         let mut site: Option<(Child, String)> = None;
         for ShownCommand { document, line, command } in of_document {
             let place = format!("{}:{line}", document.file_name().unwrap().display());

@@ -266,25 +266,26 @@ fn names_are_printed_on_their_line() {
         ("evaluate N/out/trajectory.tum N/camera.yaml", 3),
         ("map info N/out/map.gpkg", 0),
         ("map info N/camera.yaml", 3),
-        ("map export N/out/map.gpkg N/map.ply", 0),
+        ("map export N/out/map.gpkg -o N/map.ply", 0),
+        ("map export N/out/map.gpkg N/map.ply", 2),
         ("map merge N/out/map.gpkg N/out/map.gpkg -o N/both.gpkg", 2),
-        ("map thin N/out/map.gpkg", 0),
+        ("map thin N/out/map.gpkg --max-keyframes 3", 0),
         ("map mosaic N/out/map.gpkg", 0),
         ("map repair N/out/map.gpkg", 0),
         ("map optimize N/out/map.gpkg", 0),
-        ("localize N/drive.mp4 N/out/map.gpkg --max-frames 5", 0),
-        ("localize N/board.png N/out/map.gpkg", 3),
-        ("calibrate N/drive.mp4 --board chess:9x6:25mm -o N/found.yaml", 3),
-        ("ground N/board.png --board chess:9x6:25mm --camera N/camera.yaml", 3),
-        ("camera N/camera.yaml", 0),
+        ("localize N/drive.mp4 --map N/out/map.gpkg --max-frames 5", 0),
+        ("localize N/board.png --map N/out/map.gpkg", 3),
+        ("calibrate N/board.png --board chessboard:9x6:25mm -o N/found.yaml", 3),
+        ("ground N/board.png --board chessboard:9x6:25mm --camera N/camera.yaml", 3),
+        ("camera show N/camera.yaml", 0),
         ("undistort N/drive.mp4 --camera N/camera.yaml --max-frames 3 -o N/flat", 0),
         ("view N/nowhere", 3),
         ("view N/camera.yaml", 3),
         ("site serve N/camera.yaml", 3),
         ("site serve N/out", 3),
         ("site send N/out/map.gpkg --site http://127.0.0.1:9/ --robot cart", 3),
-        ("board -o N/board.pdf", 0),
-        ("simulate -o N/sim --frames 3", 0),
+        ("board --board chessboard:9x6:25mm -o N/board.pdf", 0),
+        ("simulate -o N/sim --duration 0.1", 0),
     ] {
         let words = arguments.split(' ').map(|word| word.replace('N', breaks));
         let mut command = std::process::Command::new(env!("CARGO_BIN_EXE_odograph"));
@@ -298,9 +299,7 @@ fn names_are_printed_on_their_line() {
                 text.lines().any(|line| line.starts_with('b') && line[1..].starts_with(['\u{1b}', '\\']));
             assert!(!raw && !text.contains(['\u{1b}', '\u{202e}']), "{arguments}: {text:?}");
         }
-        if code != 0 {
-            assert_eq!(err.lines().last().map(|line| line.contains(shown)), Some(true), "{arguments}: {err}");
-        }
+        assert!(code == 0 || err.contains(shown), "{arguments}: {err}");
     }
 }
 
