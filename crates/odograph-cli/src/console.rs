@@ -3,23 +3,43 @@
 use indicatif::{ProgressBar, ProgressStyle};
 use odograph::error::{Error, Result};
 use std::borrow::Cow;
+use std::ffi::OsStr;
 use std::io::{self, Write};
 use std::path::Path;
 
-/// The text with control characters escaped: names and keys come from files of any origin.
-fn harmless(text: &str) -> Cow<'_, str> {
-    let acts = |c: char| c.is_control() && !matches!(c, '\n' | '\t');
-    if !text.contains(acts) {
-        return Cow::Borrowed(text);
-    }
-    let escaped = |c: char| if acts(c) { c.escape_default().to_string() } else { c.to_string() };
-    Cow::Owned(text.chars().map(escaped).collect())
+/// Whether a terminal acts upon a character instead of showing it: control characters, and those
+/// that change the direction or the line of what follows.
+fn acts(c: char) -> bool {
+    c.is_control() || matches!(c, '\u{200e}' | '\u{200f}' | '\u{2028}'..='\u{202e}' | '\u{2066}'..='\u{2069}')
 }
 
-/// Prints results. A closed pipe (`odograph … | head`) is not an error.
+/// The text with characters that act upon a terminal escaped as in JSON, except those in `kept`:
+/// names and keys come from files of any origin.
+fn escaped<'a>(text: &'a str, kept: &[char]) -> Cow<'a, str> {
+    let is_escaped = |c: char| acts(c) && !kept.contains(&c);
+    if !text.contains(is_escaped) {
+        return Cow::Borrowed(text);
+    }
+    let shown = |c: char| match c {
+        c if !is_escaped(c) => c.to_string(),
+        '\n' => "\\n".to_owned(),
+        '\r' => "\\r".to_owned(),
+        '\t' => "\\t".to_owned(),
+        c => format!("\\u{:04x}", u32::from(c)),
+    };
+    Cow::Owned(text.chars().map(shown).collect())
+}
+
+/// The name of a file or folder, or another text of any origin, as part of a line of results.
+pub fn name(text: impl AsRef<OsStr>) -> String {
+    escaped(&text.as_ref().to_string_lossy(), &[]).into_owned()
+}
+
+/// Prints results, lines of text or JSON; names within text are those of [`name`]. A closed pipe
+/// (`odograph … | head`) is not an error.
 pub fn print(text: &str) -> Result<()> {
     let mut output = io::stdout().lock();
-    match output.write_all(harmless(text).as_bytes()).and_then(|()| output.flush()) {
+    match output.write_all(escaped(text, &['\n', '\t']).as_bytes()).and_then(|()| output.flush()) {
         Err(error) if error.kind() != io::ErrorKind::BrokenPipe => {
             Err(Error::output(format!("standard output cannot be written: {error}")))
         }
@@ -30,6 +50,15 @@ pub fn print(text: &str) -> Result<()> {
 /// Tells why the command failed, in the style of clap's own errors.
 pub fn error(sentence: &str) {
     to_person("error", sentence);
+}
+
+/// Tells an error with its list; `place` stands before it.
+pub fn failure(place: &str, failure: &Error) {
+    let (sentence, list) = failure.sentence_and_list();
+    error(&format!("{place}{sentence}"));
+    for line in list {
+        let _ = writeln!(io::stderr(), "  {}", escaped(line, &[]));
+    }
 }
 
 /// Prints a warning about a result.
@@ -44,19 +73,25 @@ pub fn note(sentence: &str) {
 
 /// Prints a line of the log, with the time since the program began.
 pub fn log(since_start_s: f64, sentence: &str) {
-    let _ = writeln!(io::stderr(), "[{since_start_s:8.3} s] {}", harmless(sentence));
+    let _ = writeln!(io::stderr(), "[{since_start_s:8.3} s] {}", escaped(sentence, &[]));
 }
 
-/// Writes a line to standard error. A failure to write is ignored.
+/// Writes one line to standard error. A failure to write is ignored.
 fn to_person(kind: &str, sentence: &str) {
-    let _ = writeln!(io::stderr(), "{kind}: {}", harmless(sentence));
+    let _ = writeln!(io::stderr(), "{kind}: {}", escaped(sentence, &[]));
 }
 
 /// A path quoted for a shell.
 pub fn quoted(path: &Path) -> String {
     let text = path.display().to_string();
     let plain = |c: char| c.is_alphanumeric() || "/._-+,:@".contains(c);
-    if text.chars().all(plain) { text } else { format!("'{}'", text.replace('\'', "'\\''")) }
+    if text.chars().all(plain) {
+        text
+    } else if text.contains(acts) {
+        format!("$'{}'", escaped(&text.replace('\\', "\\\\").replace('\'', "\\'"), &[]))
+    } else {
+        format!("'{}'", text.replace('\'', "'\\''"))
+    }
 }
 
 /// A bar where the number of frames is known, a count where not; `doing` stands before it. Nothing
@@ -80,8 +115,19 @@ mod tests {
 
     #[test]
     fn control_characters_are_escaped() {
-        assert_eq!(harmless("ä µ\t±\n"), "ä µ\t±\n");
-        assert_eq!(harmless("a\u{1b}[2J\rb\u{9b}"), "a\\u{1b}[2J\\rb\\u{9b}");
+        assert_eq!(escaped("ä µ\t±\n", &['\n', '\t']), "ä µ\t±\n");
+        assert_eq!(escaped("a\u{1b}[2J\rb\u{9b}", &[]), "a\\u001b[2J\\rb\\u009b");
+        assert_eq!(name("a\n\tb\u{202e}4pm"), "a\\n\\tb\\u202e4pm");
+    }
+
+    #[test]
+    fn what_is_escaped_in_json_stays_json() {
+        let name = "a\n\u{1b}\u{7f}\u{9b}\u{2028}\u{202e}";
+        let json = serde_json::json!({ "file": name }).to_string();
+        let printed = escaped(&json, &['\n', '\t']);
+        assert!(!printed.contains(acts), "{printed:?}");
+        let read: serde_json::Value = serde_json::from_str(&printed).unwrap();
+        assert_eq!(read["file"], name);
     }
 
     #[test]
@@ -91,6 +137,7 @@ mod tests {
             ("my demo/a", "'my demo/a'"),
             ("it's", "'it'\\''s'"),
             ("$x", "'$x'"),
+            ("a\n'b\\c\u{1b}", "$'a\\n\\'b\\\\c\\u001b'"),
         ] {
             assert_eq!(quoted(Path::new(path)), expected);
         }

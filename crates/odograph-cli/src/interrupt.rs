@@ -15,8 +15,7 @@ static ASKED: AtomicBool = AtomicBool::new(false);
 /// and then its process group.
 const SAME_REQUEST: Duration = Duration::from_millis(300);
 
-/// If the program is still busy after this time, or waits for a source that gives nothing, a note
-/// on the terminal says how to end it at once.
+/// If the program is still busy after this time, a note on the terminal says how to end it at once.
 const PATIENCE: Duration = Duration::from_secs(3);
 
 /// Installs the handler. Without one, an interrupt ends the program as usual.
@@ -26,6 +25,7 @@ pub fn listen() {
         None => {
             first = Some(Instant::now());
             ASKED.store(true, Ordering::Relaxed);
+            odograph_video::end_waiting();
             if std::io::stderr().is_terminal() {
                 std::thread::spawn(|| {
                     std::thread::sleep(PATIENCE);

@@ -66,9 +66,19 @@ fn with_negative_values(command: clap::Command) -> clap::Command {
     names.into_iter().fold(command, |command, name| command.mut_subcommand(name, with_negative_values))
 }
 
+/// Narrowest terminal that help is wrapped for. Terminals without a size say 0.
+const MIN_COLUMNS: usize = 20;
+
+/// The width that help is wrapped at, where the environment states an impossible one.
+fn width() -> Option<usize> {
+    let stated: usize = std::env::var("COLUMNS").ok()?.parse().ok()?;
+    (stated < MIN_COLUMNS).then_some(100)
+}
+
 /// The program's command with its commands grouped in the help.
 fn command() -> clap::Command {
     let command = with_negative_values(Arguments::command());
+    let command = width().into_iter().fold(command, clap::Command::term_width);
     let mut groups = String::new();
     for (heading, names) in GROUPS {
         groups.push_str(&format!("{heading}:\n"));
@@ -138,7 +148,7 @@ fn main() -> ExitCode {
         Ok(Outcome::TrackingFailed | Outcome::NotToBeTrusted) => ExitCode::from(4),
         Ok(Outcome::Interrupted) => ExitCode::from(interrupt::EXIT_CODE),
         Err(error) => {
-            console::error(&error.to_string());
+            console::failure("", &error);
             ExitCode::from(match error.kind() {
                 _ if interrupt::asked() => interrupt::EXIT_CODE,
                 ErrorKind::Usage => 2,

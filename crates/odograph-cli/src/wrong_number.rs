@@ -1,11 +1,21 @@
-//! What is said of an option's wrong number, in place of the option parser's own words.
+//! What is said of an option's wrong number, and of a name that is no text, in place of the option
+//! parser's own words.
 
+use crate::console;
 use clap::error::{ContextKind, ContextValue, ErrorKind};
 use std::error::Error;
 use std::num::{IntErrorKind, ParseFloatError, ParseIntError};
 
 /// The error of the option parser; of a wrong number it says what the option expects.
-pub fn in_words(error: clap::Error) -> clap::Error {
+pub fn in_words(mut error: clap::Error) -> clap::Error {
+    let escaped = |(kind, value): (ContextKind, &ContextValue)| match value {
+        ContextValue::String(text) => Some((kind, ContextValue::String(console::name(text)))),
+        _ => None,
+    };
+    let escaped: Vec<(ContextKind, ContextValue)> = error.context().filter_map(escaped).collect();
+    for (kind, value) in escaped {
+        error.insert(kind, value);
+    }
     match explained(&error) {
         Some(text) => clap::Error::raw(
             ErrorKind::ValueValidation,
@@ -16,6 +26,13 @@ pub fn in_words(error: clap::Error) -> clap::Error {
 }
 
 fn explained(error: &clap::Error) -> Option<String> {
+    if error.kind() == ErrorKind::InvalidUtf8 {
+        let wrong = std::env::args_os().find(|argument| argument.to_str().is_none())?;
+        return Some(format!(
+            "the name {} is not UTF-8 text; rename the file or folder, or make a link to it",
+            console::name(wrong)
+        ));
+    }
     let context = |kind| match error.get(kind) {
         Some(ContextValue::String(text)) => Some(text.as_str()),
         _ => None,

@@ -259,19 +259,18 @@ impl MapFile {
         self.new_session(source, None, &|_, _| Ok(()))
     }
 
-    /// Starts a session of a named robot with a new key. Its keyframes are numbered from 0 in the
-    /// order in which they are added. Fails if the robot cannot be called so, or if the session
-    /// cannot be written.
+    /// Starts a session of a robot. Its keyframes are numbered from 0 in the order in which they
+    /// are added. Fails if the origin is invalid, or if the session cannot be written.
     pub fn begin_session_by(
         &mut self,
-        robot: &str,
+        origin: &SessionOrigin,
         source: &str,
         mounted: Option<&MountedCamera>,
     ) -> Result<u32> {
-        origin::check_name(robot)?;
+        let origin = origin.clone().validated()?;
         let first = self.next_keyframe()?.0;
         let id =
-            self.new_session(source, mounted, &|transaction, id| origin::begin(transaction, id, robot))?;
+            self.new_session(source, mounted, &|transaction, id| origin::write(transaction, id, &origin))?;
         self.numbered_from.insert(id, first);
         Ok(id)
     }

@@ -29,6 +29,29 @@ pub struct SessionOrigin {
 }
 
 impl SessionOrigin {
+    /// The origin of a new session, with a key drawn at random.
+    ///
+    /// # Errors
+    /// If the robot cannot be called so.
+    pub fn new(robot: &str) -> Result<Self> {
+        check_name(robot)?;
+        let drawn = Connection::open_in_memory().and_then(|connection| {
+            connection.query_row("SELECT lower(hex(randomblob(16)))", [], |row| row.get(0))
+        });
+        let key = drawn.map_err(|error| {
+            Error::output(format!("no key for the session can be drawn: {error}")).caused_by(error)
+        })?;
+        Ok(Self { robot: robot.to_owned(), key })
+    }
+
+    /// The origin of the session that replaces this one, where the same run begins again with
+    /// another calibration: the same whenever it is asked for.
+    #[must_use]
+    pub fn following(&self) -> Self {
+        let number = u128::from_str_radix(&self.key, 16).unwrap_or_default();
+        Self { robot: self.robot.clone(), key: format!("{:032x}", number.wrapping_add(1)) }
+    }
+
     /// Checks both. Fails if the name is no name of a robot, or the key is none.
     pub fn validated(self) -> Result<Self> {
         check_name(&self.robot)?;
@@ -56,17 +79,7 @@ pub fn check_name(robot: &str) -> Result<()> {
     )))
 }
 
-/// Gives a session a new key.
-pub(crate) fn begin(connection: &Connection, session: u32, robot: &str) -> rusqlite::Result<()> {
-    make(connection)?;
-    connection.execute(
-        "INSERT INTO odograph_session_origin VALUES (?1, ?2, lower(hex(randomblob(16))))",
-        params![session, robot],
-    )?;
-    Ok(())
-}
-
-/// Writes the origin of a session that another map has too.
+/// Writes the origin of a session.
 pub(crate) fn write(connection: &Connection, session: u32, origin: &SessionOrigin) -> rusqlite::Result<()> {
     make(connection)?;
     connection.execute(

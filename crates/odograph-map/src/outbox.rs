@@ -70,6 +70,15 @@ impl Outbox {
         Ok(Self { session: session.id, first, next: first, last_edge: 0, waiting: Vec::new() })
     }
 
+    /// Number of the session's last keyframe in the file; `None` while it has none.
+    pub fn last_number(&self, file: &MapFile) -> Result<Option<u64>> {
+        let last: Option<u64> = file
+            .connection
+            .query_row("SELECT max(id) FROM keyframes WHERE session = ?1", [self.session], |row| row.get(0))
+            .while_reading(&file.complaint)?;
+        Ok(last.map(|last| last.saturating_sub(self.first)))
+    }
+
     /// The next records, at most `most`, of those that are in the file. Fails where the file cannot
     /// be read.
     pub fn next(&mut self, file: &MapFile, most: usize) -> Result<Vec<OutgoingRecord>> {

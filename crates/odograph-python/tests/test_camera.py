@@ -26,7 +26,7 @@ def test_a_camera_is_what_it_was_made_of(tmp_path):
         ({"K": [[500.0, 3.0, 320.0], [0.0, 500.0, 240.0], [0.0, 0.0, 1.0]]}, "K is not a camera matrix"),
         ({"K": "wide"}, "K is no array of numbers"),
         ({"K": K, "dist": [0.1, 0.2, 0.3]}, "dist has 3 coefficients"),
-        ({"K": K, "dist": [float("nan"), 0, 0, 0]}, "finite"),
+        ({"K": K, "dist": [float("nan"), 0, 0, 0]}, "a distortion coefficient is NaN"),
         ({"K": K, "model": "pinhole"}, "no lens model"),
         ({"K": K, "readout": 3.0}, "readout time"),
     ],

@@ -8,7 +8,7 @@ use crate::files;
 use crate::output::RunOutput;
 use crate::plan::RunPlan;
 use odograph::error::{Error, Result};
-use odograph_map::MapFile;
+use odograph_map::{MapFile, SessionOrigin};
 use serde::{Deserialize, Serialize};
 use std::path::{Path, PathBuf};
 
@@ -24,6 +24,8 @@ pub(crate) struct BegunRun {
     pub source: String,
     /// Name of the robot.
     pub robot: Option<String>,
+    /// Key of its session, so that a site has the run once.
+    pub key: Option<String>,
     /// The bag of ROS 2 that it writes, an absolute path.
     pub bag: Option<PathBuf>,
     pub plan: RunPlan,
@@ -36,7 +38,12 @@ pub(crate) fn begun_file(folder: &Path) -> PathBuf {
 
 /// Writes down that a run begins. Nothing is written of a run that cannot be run again: over
 /// standard input, a pipe or a stream.
-pub(crate) fn begin(folder: &Path, plan: &RunPlan, output: &RunOutput) -> Result<()> {
+pub(crate) fn begin(
+    folder: &Path,
+    plan: &RunPlan,
+    output: &RunOutput,
+    origin: Option<&SessionOrigin>,
+) -> Result<()> {
     let source = Path::new(&plan.source.path);
     if output.folder.is_none() || output.map.is_read_only() || !(source.is_file() || source.is_dir()) {
         return Ok(());
@@ -53,8 +60,9 @@ pub(crate) fn begin(folder: &Path, plan: &RunPlan, output: &RunOutput) -> Result
     let begun = BegunRun {
         map: map.map(absolute),
         session,
-        source: plan.source.path.clone(),
+        source: output.source_name(&plan.source.path),
         robot: output.robot.clone(),
+        key: origin.map(|origin| origin.key.clone()),
         bag: output.bag.as_deref().map(absolute),
         plan: plan.seen_from(folder),
     };
@@ -63,20 +71,6 @@ pub(crate) fn begin(folder: &Path, plan: &RunPlan, output: &RunOutput) -> Result
     })?;
     let path = begun_file(folder);
     std::fs::write(&path, text).map_err(|error| files::cannot_be_written(&path, error))
-}
-
-/// Removes what [`begin`] has written, for a while, and returns it.
-pub(crate) fn take(folder: &Path) -> Option<String> {
-    let text = files::read_text(&begun_file(folder)).ok();
-    end(folder);
-    text
-}
-
-/// Writes it again. A failure is ignored: the path is on disk.
-pub(crate) fn put_back(folder: &Path, text: Option<String>) {
-    if let Some(text) = text {
-        let _ = std::fs::write(begun_file(folder), text);
-    }
 }
 
 /// Removes what [`begin`] has written.

@@ -52,16 +52,24 @@ pub(crate) fn cannot_be_written(path: &Path, error: io::Error) -> Error {
 /// Writes a file that may exceed memory: `fill` writes it under a temporary name, then it is
 /// renamed. A failure leaves no file.
 pub fn write_with(path: &Path, fill: impl FnOnce(&mut BufWriter<fs::File>) -> Result<()>) -> Result<()> {
-    let beside = beside(path);
+    write_by_way_of(&beside(path), path, fill)
+}
+
+/// [`write_with`] under a temporary name that is given.
+pub(crate) fn write_by_way_of(
+    beside: &Path,
+    path: &Path,
+    fill: impl FnOnce(&mut BufWriter<fs::File>) -> Result<()>,
+) -> Result<()> {
     let cannot = |error| cannot_be_written(path, error);
-    let written = fs::File::create(&beside).map_err(cannot).and_then(|file| {
+    let written = fs::File::create(beside).map_err(cannot).and_then(|file| {
         let mut output = BufWriter::with_capacity(1 << 20, file);
         fill(&mut output)?;
         output.flush().and_then(|()| output.get_ref().sync_data()).map_err(cannot)?;
-        fs::rename(&beside, path).map_err(cannot)
+        fs::rename(beside, path).map_err(cannot)
     });
     written.inspect_err(|_| {
-        let _ = fs::remove_file(&beside);
+        let _ = fs::remove_file(beside);
     })
 }
 

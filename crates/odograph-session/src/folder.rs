@@ -1,7 +1,7 @@
 //! The output folder: nothing is overwritten without permission, no file is half-written, and
 //! computed frames are on disk if the program is killed.
 
-use crate::begun_run;
+use crate::begun_run::{self, begun_file};
 use crate::files;
 use crate::kept_frames::KeptFrames;
 use crate::output::{MapUse, RunOutput};
@@ -12,7 +12,7 @@ use odograph::error::{Error, Result};
 use odograph::formats::trajectory_file::{self, FRAMES_HEADER, frame_line, tum_header, tum_line};
 use odograph::pose_frame::{PoseFrame, PoseFrames};
 use odograph::trajectory::{FrameEstimate, StampedPose};
-use odograph_map::{MapClaim, MapFile};
+use odograph_map::{MapClaim, MapFile, SessionOrigin};
 use std::fs::{self, File};
 use std::io::{Seek, Write};
 use std::path::{Path, PathBuf};
@@ -53,6 +53,8 @@ pub struct OutputFolder {
     begun: bool,
     /// Whether a map of an earlier run is there.
     had_map: bool,
+    /// Origin of the session, where the robot has a name.
+    origin: Option<SessionOrigin>,
     /// Folders created for this run, the innermost first.
     made: Vec<PathBuf>,
     /// Claims on the folder's map, which keeps other runs out of the folder, and on the continued
@@ -98,6 +100,7 @@ impl OutputFolder {
             return Err(Error::usage(format!("{} is a file; the results need a folder", path.display())));
         }
         let own_map = path.join("map.gpkg");
+        let origin = output.origin()?;
         check_free(path, force)?;
         let missing = |folder: &&Path| !folder.as_os_str().is_empty() && !folder.exists();
         let made: Vec<PathBuf> = path.ancestors().take_while(missing).map(Path::to_owned).collect();
@@ -120,6 +123,7 @@ impl OutputFolder {
             started: false,
             begun: false,
             had_map,
+            origin,
             made,
             claims,
             written: Vec::new(),
@@ -134,7 +138,7 @@ impl OutputFolder {
     /// Writes down what is run, so that it can be run again where this program is killed.
     pub fn begin(&mut self, plan: &RunPlan, output: &RunOutput) -> Result<()> {
         self.begun = true;
-        begun_run::begin(&self.path, plan, output)
+        begun_run::begin(&self.path, plan, output, self.origin.as_ref())
     }
 
     /// Discards what was recorded, because the run starts again.
@@ -145,7 +149,14 @@ impl OutputFolder {
             .map_err(|error| files::cannot_be_written(&self.path.join("trajectory.csv"), error))?;
         self.pending.clear();
         self.started = false;
+        // A site that has something of the session before has other keyframes than those to come.
+        self.origin = self.origin.as_ref().map(SessionOrigin::following);
         Ok(())
+    }
+
+    /// Origin of the session, where the robot has a name.
+    pub fn origin(&self) -> Option<&SessionOrigin> {
+        self.origin.as_ref()
     }
 
     /// Its path.
@@ -243,22 +254,35 @@ impl OutputFolder {
         of: &PoseFrames,
         run_toml: &str,
     ) -> Result<()> {
-        // Written under a third name: on a full disk the incremental record must remain, with as
-        // much of its last second as fits.
+        // Under a third name each: what is there under the second one is worth keeping until then.
         let _ = self.flush();
-        let (whole, path) = (self.path.join("trajectory.csv.new"), self.path.join("trajectory.csv"));
-        // On a full disk the path is worth more than what runs it again.
-        let begun = begun_run::take(&self.path);
-        write_lines(&whole, FRAMES_HEADER, |put| frames.each(|frame, _| put(&frame_line(&of.frame(frame)))))?;
-        fs::rename(&whole, &path).map_err(|error| files::cannot_be_written(&path, error))?;
+        let written = self.write_paths(frames, of, run_toml);
+        if written.is_err() && self.begun && begun_file(&self.path).is_file() {
+            // On a full disk the path is worth more than what runs it again.
+            begun_run::end(&self.path);
+            return self.write_paths(frames, of, run_toml);
+        }
+        written
+    }
+
+    fn write_paths(&mut self, frames: &mut KeptFrames, of: &PoseFrames, run_toml: &str) -> Result<()> {
+        let path = self.path.join("trajectory.csv");
+        files::write_by_way_of(&self.path.join("trajectory.csv.new"), &path, |output| {
+            lines_into(output, &path, FRAMES_HEADER, |put| {
+                frames.each(|frame, _| put(&frame_line(&of.frame(frame))))
+            })
+        })?;
         let _ = fs::remove_file(files::beside(&path));
         self.is_written(path);
         self.started = true;
         self.write_tum("trajectory.tum", of.last(), |put| {
             frames.each(|frame, _| of.stamped(frame).as_ref().map_or(Ok(()), &mut *put))
         })?;
-        self.write("run.toml", run_toml.as_bytes())?;
-        begun_run::put_back(&self.path, begun);
+        let path = self.path.join("run.toml");
+        files::write_by_way_of(&self.path.join("run.toml.new"), &path, |output| {
+            output.write_all(run_toml.as_bytes()).map_err(|error| files::cannot_be_written(&path, error))
+        })?;
+        self.is_written(path);
         Ok(())
     }
 
@@ -317,11 +341,18 @@ fn write_lines(
     header: &str,
     fill: impl FnOnce(&mut dyn FnMut(&str) -> Result<()>) -> Result<()>,
 ) -> Result<()> {
-    files::write_with(path, |output| {
-        let mut put = |line: &str| {
-            output.write_all(line.as_bytes()).map_err(|error| files::cannot_be_written(path, error))
-        };
-        put(header)?;
-        fill(&mut put)
-    })
+    files::write_with(path, |output| lines_into(output, path, header, fill))
+}
+
+/// Writes a header and the lines that `fill` gives; `path` is named in errors.
+fn lines_into(
+    output: &mut dyn Write,
+    path: &Path,
+    header: &str,
+    fill: impl FnOnce(&mut dyn FnMut(&str) -> Result<()>) -> Result<()>,
+) -> Result<()> {
+    let mut put =
+        |line: &str| output.write_all(line.as_bytes()).map_err(|error| files::cannot_be_written(path, error));
+    put(header)?;
+    fill(&mut put)
 }

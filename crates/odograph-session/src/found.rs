@@ -87,10 +87,10 @@ impl FoundMount {
     /// A warning for people after a live run.
     pub fn live_sentence(&self) -> String {
         format!(
-            "the camera is mounted at a roll of {:+.2}° and a pitch of {:+.2}°, not {}; this was estimated \
+            "the camera is mounted at a roll of {} and a pitch of {}, not {}; this was estimated \
              while driving and used from then on, and the path before it is bent: give both with --rig",
-            self.roll_deg,
-            self.pitch_deg,
+            angle(self.roll_deg),
+            angle(self.pitch_deg),
             self.given()
         )
     }
@@ -98,10 +98,10 @@ impl FoundMount {
     /// A warning for people.
     pub fn sentence(&self) -> String {
         format!(
-            "the camera is mounted at a roll of {:+.2}° and a pitch of {:+.2}°, not {}; this was found in the \
+            "the camera is mounted at a roll of {} and a pitch of {}, not {}; this was found in the \
              recording and used",
-            self.roll_deg,
-            self.pitch_deg,
+            angle(self.roll_deg),
+            angle(self.pitch_deg),
             self.given()
         )
     }
@@ -241,9 +241,20 @@ impl FoundReadout {
     }
 }
 
+/// An angle with its sign; one that rounds to zero has none of its own.
+fn angle(degrees: f64) -> String {
+    // Adding zero makes a negative zero positive.
+    format!("{:+.2}°", (100.0 * degrees).round() / 100.0 + 0.0)
+}
+
 #[cfg(test)]
 mod tests {
     use super::*;
+
+    #[test]
+    fn an_angle_that_rounds_to_zero_is_not_negative() {
+        assert_eq!([-0.004, 0.004, -0.006, 3.0].map(angle), ["+0.00°", "+0.00°", "-0.01°", "+3.00°"]);
+    }
 
     #[test]
     fn a_readout_time_of_nothing_is_a_global_shutter() {

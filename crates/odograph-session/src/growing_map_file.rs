@@ -6,7 +6,7 @@ use odograph::ground_map::{
     KeyframeImage, KeyframeImages, KeyframeStore, MapKeyframe, MemoryImages, MountedCamera,
 };
 use odograph::keyframe::{KeyframeId, MapEdge};
-use odograph_map::{MapClaim, MapFile};
+use odograph_map::{MapClaim, MapFile, SessionOrigin};
 use std::path::PathBuf;
 
 /// A map file that is created with its first keyframe: a run without one leaves no file.
@@ -20,7 +20,8 @@ pub struct GrowingMapFile {
     pub camera: Camera,
     pub rig: Rig,
     pub source: String,
-    pub robot: Option<String>,
+    /// Origin of the session, where the robot has a name.
+    pub origin: Option<SessionOrigin>,
     pub session: u32,
     /// The new keyframes, where the file is not to be written.
     pub kept: Option<MemoryImages>,
@@ -43,11 +44,11 @@ impl GrowingMapFile {
     }
 
     pub fn begin_session(&self, file: &mut MapFile) -> Result<u32> {
-        match &self.robot {
+        match &self.origin {
             // What a robot sends from here is with its own mount.
-            Some(robot) => {
+            Some(origin) => {
                 let mounted = MountedCamera { camera: self.camera.clone(), rig: self.rig };
-                file.begin_session_by(robot, &self.source, Some(&mounted))
+                file.begin_session_by(origin, &self.source, Some(&mounted))
             }
             None => file.begin_session(&self.source),
         }

@@ -73,8 +73,8 @@ impl Mapping {
             path,
             camera: global.clone(),
             rig: plan.rig,
-            source: plan.source.path.clone(),
-            robot: output.robot.clone(),
+            source: output.source_name(&plan.source.path),
+            origin: folder.origin().cloned(),
             session: 0,
             kept: map.is_read_only().then(MemoryImages::default),
         };

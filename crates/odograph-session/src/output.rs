@@ -3,6 +3,7 @@
 use crate::files;
 use crate::half_session::HalfSession;
 use odograph::error::{Error, Result};
+use odograph_map::SessionOrigin;
 use std::path::{Path, PathBuf};
 use tempfile::TempDir;
 
@@ -33,6 +34,17 @@ impl MapUse {
     }
 }
 
+/// The session that a killed run had begun: it is that session again.
+#[derive(Debug, Clone)]
+pub(crate) struct ResumedSession {
+    /// The source as it was typed first.
+    pub source: String,
+    /// Key of the session of a named robot.
+    pub key: Option<String>,
+    /// What it has left in a continued map.
+    pub half: Option<HalfSession>,
+}
+
 /// Output folder, permission to overwrite, and number of threads.
 #[derive(Debug, Clone)]
 pub(crate) struct RunOutput {
@@ -42,12 +54,12 @@ pub(crate) struct RunOutput {
     pub map: MapUse,
     /// Name of the robot that runs.
     pub robot: Option<String>,
+    /// What a killed run had begun, which this run replaces.
+    pub resumed: Option<ResumedSession>,
     /// A bag of ROS 2 to write, an MCAP file.
     pub bag: Option<PathBuf>,
     /// `None`: as many as are useful.
     pub threads: Option<usize>,
-    /// The session of a killed run, which this run replaces.
-    pub half_session: Option<HalfSession>,
     /// Minimum number of frames of a recording.
     pub least_frames: usize,
 }
@@ -59,9 +71,9 @@ impl Default for RunOutput {
             force: false,
             map: MapUse::New,
             robot: None,
+            resumed: None,
             bag: None,
             threads: None,
-            half_session: None,
             least_frames: 2,
         }
     }
@@ -71,6 +83,20 @@ impl RunOutput {
     /// Number of threads: three by default, for decoding, tracking and mapping.
     pub fn threads(&self) -> usize {
         self.threads.unwrap_or(3)
+    }
+
+    /// Name of the source in the map; `typed` is that of this run.
+    pub fn source_name(&self, typed: &str) -> String {
+        self.resumed.as_ref().map_or(typed, |resumed| &resumed.source).to_owned()
+    }
+
+    /// Origin of the session, where the robot has a name.
+    pub fn origin(&self) -> Result<Option<SessionOrigin>> {
+        let Some(robot) = &self.robot else { return Ok(None) };
+        match self.resumed.as_ref().and_then(|resumed| resumed.key.clone()) {
+            Some(key) => SessionOrigin { robot: robot.clone(), key }.validated().map(Some),
+            None => SessionOrigin::new(robot).map(Some),
+        }
     }
 
     /// Fails if the bag exists and may not be overwritten, or cannot be written there.
@@ -84,7 +110,10 @@ impl RunOutput {
             Some(folder) => Ok((folder.clone(), None)),
             None => {
                 let nowhere = tempfile::tempdir().map_err(|error| {
-                    Error::output(format!("there is no folder for temporary files: {error}")).caused_by(error)
+                    Error::output(format!(
+                        "a folder for temporary files cannot be made: {error}; set TMPDIR to a folder that can be written"
+                    ))
+                    .caused_by(error)
                 })?;
                 Ok((nowhere.path().to_owned(), Some(nowhere)))
             }

@@ -126,6 +126,7 @@ impl SourcePlan {
     /// # Errors
     /// If it cannot be read, or the plan does not fit it.
     pub fn open(&self) -> Result<Source> {
+        check_recording(Path::new(&self.path))?;
         let options = SourceOptions {
             timestamps: self.timestamps.clone(),
             fps: self.fps,
@@ -138,6 +139,21 @@ impl SourcePlan {
         };
         odograph_video::open(&self.path, &options)
     }
+}
+
+/// Refuses the folder of a run, whose drawings would be taken for frames.
+///
+/// # Errors
+/// If the folder has the path of a run beside its parameters.
+pub fn check_recording(source: &Path) -> Result<()> {
+    if source.join("run.toml").is_file() && source.join("trajectory.csv").is_file() {
+        return Err(Error::input(format!(
+            "{0} is the folder of a run, not of a recording; odograph view {0} shows it, and odograph run {0}/run.toml \
+             repeats it",
+            source.display()
+        )));
+    }
+    Ok(())
 }
 
 const HEADER: &str =

@@ -3,7 +3,7 @@
 use crate::begun_run::{BegunRun, begun_file};
 use crate::builder::RunBuilder;
 use crate::half_session::HalfSession;
-use crate::output::MapUse;
+use crate::output::{MapUse, ResumedSession};
 use crate::unfinished::UnfinishedRun;
 use odograph::error::{Error, Result};
 use std::path::Path;
@@ -37,14 +37,16 @@ impl RunBuilder {
                  odograph view shows what it has",
             ));
         }
-        let BegunRun { map, session, source, robot, bag, plan } = BegunRun::read(folder)?;
+        let BegunRun { map, session, source, robot, key, bag, plan } = BegunRun::read(folder)?;
         let mut run = Self::over(plan.source.clone()).folder(folder).overwriting(true);
+        let mut half = None;
         if let Some(map) = map {
-            let half = HalfSession { session, source };
-            half.is_in(&map)?;
-            run.output.half_session = Some(half);
+            let left = HalfSession { session, source: source.clone() };
+            left.is_in(&map)?;
+            half = Some(left);
             run.output.map = MapUse::Continue(map);
         }
+        run.output.resumed = Some(ResumedSession { source, key, half });
         run.output.robot = robot;
         run.output.bag = bag;
         run.resumed = Some(Arc::new(plan));

@@ -60,7 +60,8 @@ impl RunBuilder {
                 Ok((source, size))
             })?
         };
-        if let (Some(half), Some(map)) = (&self.output.half_session, self.output.map.path())
+        let half = self.output.resumed.as_ref().and_then(|resumed| resumed.half.as_ref());
+        if let (Some(half), Some(map)) = (half, self.output.map.path())
             && let Some(claim) = folder.claim_on(map)
         {
             half.remove(claim)?;

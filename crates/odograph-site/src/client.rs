@@ -67,9 +67,12 @@ impl std::str::FromStr for SiteAddress {
             None if path.is_empty() => None,
             _ => return Err(wrong("nothing but a token of letters, digits and hyphens follows the host")),
         };
-        let has_port = host.rsplit_once(':').is_some_and(|(before, port)| {
-            port.parse::<u16>().is_ok() && (!before.contains(':') || before.ends_with(']'))
-        });
+        // The colons of an IPv6 address are within its brackets.
+        let port = host.rsplit_once(':').filter(|(before, _)| !before.contains(':') || before.ends_with(']'));
+        let has_port = port.is_some();
+        if port.is_some_and(|(_, port)| !port.parse::<u16>().is_ok_and(|port| port > 0)) {
+            return Err(wrong("its port is a number from 1 to 65535"));
+        }
         let host = if has_port { host.to_owned() } else { format!("{host}:{}", super::DEFAULT_PORT) };
         Ok(Self { host, token })
     }
@@ -251,6 +254,9 @@ mod tests {
             "http://a b/",
             "http://hall/x",
             "http://h/?token=a\r\n",
+            "http://h:99999/",
+            "http://h:0/",
+            "http://h:/",
         ] {
             assert!(read(text).is_err(), "{text}");
         }

@@ -249,9 +249,14 @@ impl Sending {
             rig: mounted.rig,
         };
         let outbox = Outbox::new(&file, origin).map_err(failed)?;
+        let last_here = outbox.last_number(&file).map_err(failed)?;
         drop(file);
         let status = self.client.describe(&description).map_err(|why| self.stopped(&why))?;
-        let (last, ended) = (status.acknowledged, status.ended);
+        let (mut last, mut ended) = (status.acknowledged, status.ended);
+        if ended && last <= last_here {
+            // The run was killed, sent, and run again: the end that the site has was none.
+            (last, ended) = (last.and_then(|end| end.checked_sub(1)), false);
+        }
         self.heard(status, 0);
         let (waiting, is_misplaced) = (Vec::new(), false);
         self.current = Some(Current { origin: origin.clone(), outbox, last, ended, waiting, is_misplaced });

@@ -125,7 +125,9 @@ impl RecordStore {
     }
 
     /// Stores records of a session, each with its bytes. All that are new are on disk when this
-    /// returns; what is there already is skipped if it is the same. With an error none is stored.
+    /// returns; what is there already is skipped if it is the same. A keyframe in the place of the
+    /// session's end takes it: the run was killed, and goes on now that it was begun again. With
+    /// an error none is stored.
     pub fn append(
         &mut self,
         session: i64,
@@ -146,10 +148,25 @@ impl RecordStore {
                     )
                     .optional()
                     .map_err(failed)?;
-                match same {
-                    Some(true) => continue,
-                    _ => return Err(NotStored::Conflict(head.number)),
+                if same == Some(true) {
+                    continue;
                 }
+                // Only of the end there is no keyframe.
+                let reopened = "DELETE FROM record WHERE session = ?1 AND number = ?2 AND (SELECT ended FROM session WHERE id = ?1)";
+                let is_end = head.keyframe.is_some() && last == Some(head.number);
+                if !is_end
+                    || transaction.execute(reopened, params![session, head.number]).map_err(failed)? == 0
+                {
+                    return Err(NotStored::Conflict(head.number));
+                }
+                transaction
+                    .execute("UPDATE session SET ended = 0 WHERE id = ?1", [session])
+                    .map_err(failed)?;
+                last = transaction
+                    .query_row("SELECT max(number) FROM record WHERE session = ?1", [session], |row| {
+                        row.get(0)
+                    })
+                    .map_err(failed)?;
             }
             if head.after != last {
                 return Err(NotStored::OutOfOrder(last));

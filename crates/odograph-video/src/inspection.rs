@@ -4,6 +4,7 @@ use crate::bag;
 use crate::contents::{Contents, Stream, StreamUse};
 use crate::limits;
 use crate::opened::Opened;
+use crate::pipe;
 use crate::source::open_kind;
 use crate::source_options::SourceOptions;
 use odograph::error::{Error, Result};
@@ -25,9 +26,14 @@ pub fn inspect(path: impl AsRef<Path>) -> Result<Contents> {
 fn inspect_frames(path: &Path) -> Result<Contents> {
     let Opened { mut frames, description, times_known, frames_per_second, .. } =
         open_kind(path, &SourceOptions::default())?;
-    let Some(first_s) = frames.advance()? else { return Err(Error::input("there is no frame in it")) };
+    let Some(first_s) = frames.advance()? else {
+        return Err(pipe::interrupted_or(Error::input("there is no frame in it")));
+    };
     let size = frames.picture()?.map(|picture| (picture.gray.width(), picture.gray.height()));
     let mut times_s = frames.times()?;
+    if !path.is_file() {
+        pipe::check_waiting()?;
+    }
     // What was read without decoding begins at the first frame again.
     if times_s.iter().all(|&time_s| time_s > first_s) {
         times_s.insert(0, first_s);

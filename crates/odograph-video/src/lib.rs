@@ -27,6 +27,7 @@
 
 mod limits;
 mod regular_file;
+mod pipe;
 mod guard;
 mod frame;
 mod nal;
@@ -57,6 +58,7 @@ pub use codec::read_parameter_sets;
 pub use contents::{Contents, Gap, Stream, StreamUse};
 pub use frame::{Frame, Picture};
 pub use inspection::inspect;
+pub use pipe::end_waiting;
 pub use recorded_camera::RecordedCamera;
 pub use regular_file::{check_regular_file, read_regular_file};
 pub use samples::SampleLayout;

@@ -9,7 +9,7 @@ use crate::limits;
 use crate::opened::{Frames, Opened};
 use crate::source_options::SourceOptions;
 use crate::timestamps::Timestamps;
-use crate::{bag, ffmpeg, pictures, video, y4m};
+use crate::{bag, ffmpeg, pictures, pipe, video, y4m};
 use odograph::error::{Error, ErrorKind, Result};
 use std::fs::File;
 use std::io::{BufReader, Read, Seek};
@@ -78,7 +78,7 @@ pub fn open(path: impl AsRef<Path>, options: &SourceOptions) -> Result<Source> {
     let place = if path == Path::new("-") { "standard input".into() } else { path.display().to_string() };
     open_kind(path, options)
         .and_then(|opened| Source::new(place.clone(), opened, options))
-        .map_err(|e| at_place(&e, &place))
+        .map_err(|error| at_place(error, &place))
 }
 
 /// Box types at the start of an MP4 or QuickTime file.
@@ -87,10 +87,11 @@ const MP4_STARTS: [&[u8]; 11] =
 
 /// Prefixes an error with its location. What a file is at fault for stands on one line: third-party
 /// decoders write messages of several lines. A wrong option may be answered with a list.
-fn at_place(error: &Error, place: &str) -> Error {
-    let message = error.to_string();
-    let message = if error.kind() == ErrorKind::Usage { message } else { one_line(&message) };
-    Error::new(error.kind(), message).at(place)
+fn at_place(error: Error, place: &str) -> Error {
+    match error.kind() {
+        ErrorKind::Usage => error.at(place),
+        kind => Error::new(kind, one_line(&error.to_string())).at(place),
+    }
 }
 
 fn one_line(text: &str) -> String {
@@ -107,7 +108,7 @@ pub(crate) fn open_kind(path: &Path, options: &SourceOptions) -> Result<Opened> 
         return ffmpeg::open_stream(address, options.color);
     }
     if path == Path::new("-") {
-        return y4m::open(BufReader::with_capacity(1 << 18, std::io::stdin()), None, options.color);
+        return open_pipe(pipe::standard_input()?, options);
     }
     let metadata = std::fs::metadata(path).map_err(|error| match error.kind() {
         std::io::ErrorKind::NotFound => Error::input("there is no such file or folder"),
@@ -125,11 +126,10 @@ pub(crate) fn open_kind(path: &Path, options: &SourceOptions) -> Result<Opened> 
     if metadata.is_dir() {
         return pictures::open_folder(path, options);
     }
-    let mut file = File::open(path).map_err(|error| Error::input(format!("cannot be opened: {error}")))?;
     if !metadata.is_file() {
-        // A pipe or device is not seekable.
-        return y4m::open(BufReader::with_capacity(1 << 18, file), None, options.color);
+        return open_pipe(pipe::open(path)?, options);
     }
+    let mut file = File::open(path).map_err(|error| Error::input(format!("cannot be opened: {error}")))?;
     let mut magic = Vec::new();
     file.by_ref()
         .take(64)
@@ -160,6 +160,12 @@ pub(crate) fn open_kind(path: &Path, options: &SourceOptions) -> Result<Opened> 
         m if let Some(codec) = annex_b::codec(m) => video(Box::new(AnnexBReader::open(file, codec))),
         _ => ffmpeg::open(path, ffmpeg::Content::Unknown, options.color),
     }
+}
+
+/// What cannot be sought in.
+fn open_pipe(bytes: impl Read + Send + 'static, options: &SourceOptions) -> Result<Opened> {
+    let opened = y4m::open(BufReader::with_capacity(1 << 18, bytes), None, options.color);
+    opened.map_err(pipe::interrupted_or)
 }
 
 impl Source {
@@ -218,7 +224,7 @@ impl Source {
     /// timestamps file. A truncated video is not an error: its frames up to the truncation are
     /// yielded, with a warning.
     pub fn next_frame(&mut self) -> Result<Option<Frame>> {
-        let frame = self.next_wanted().map_err(|error| at_place(&error, &self.place));
+        let frame = self.next_wanted().map_err(|error| at_place(error, &self.place));
         if !matches!(frame, Ok(Some(_))) {
             self.end();
         }
@@ -251,7 +257,7 @@ impl Source {
     /// # Errors
     /// As [`Source::next_frame`].
     pub fn skip_frame(&mut self) -> Result<Option<f64>> {
-        let next = self.advance_to_wanted().map_err(|error| at_place(&error, &self.place));
+        let next = self.advance_to_wanted().map_err(|error| at_place(error, &self.place));
         let time_s = next.map(|next| next.map(|(_, time_s, _)| time_s));
         match time_s {
             Ok(Some(_)) => self.given += 1,
@@ -335,7 +341,7 @@ fn first_frame(frames: &mut dyn Frames) -> Result<(f64, Picture, u64)> {
         skipped += 1;
     }
     let why = frames.take_warnings().into_iter().map(|warning| format!(": {warning}"));
-    Err(Error::input(format!("there is no frame in it{}", why.collect::<String>())))
+    Err(pipe::interrupted_or(Error::input(format!("there is no frame in it{}", why.collect::<String>()))))
 }
 
 impl std::fmt::Debug for Source {

@@ -4,6 +4,7 @@ use crate::codec::narrow_little_endian;
 use crate::frame::{Chroma, Color, ColorEncoding, Picture};
 use crate::limits;
 use crate::opened::{Frames, Opened};
+use crate::pipe;
 use odograph::error::{Error, Result};
 use odograph::image::GrayImage;
 use std::io::{BufRead, Read};
@@ -138,6 +139,13 @@ fn line(reader: &mut impl BufRead) -> Result<String> {
 }
 
 impl<R: BufRead> Y4m<R> {
+    /// Adds a warning about the stream. Where the wait for the rest was ended, it is not at fault.
+    fn warn(&mut self, warning: String) {
+        if !pipe::is_ended() {
+            self.warnings.push(warning);
+        }
+    }
+
     fn sample_bytes(&self) -> u64 {
         if self.layout.bits > 8 { 2 } else { 1 }
     }
@@ -186,7 +194,7 @@ impl<R: BufRead + Send> Frames for Y4m<R> {
             return Ok(None);
         }
         if head.split(' ').next() != Some("FRAME") {
-            self.warnings.push(format!("what follows frame {} is not Y4M and was ignored", self.number));
+            self.warn(format!("what follows frame {} is not Y4M and was ignored", self.number));
             return Ok(None);
         }
         let luminance = (self.width * self.height) as u64;
@@ -197,7 +205,7 @@ impl<R: BufRead + Send> Frames for Y4m<R> {
         let alpha = if self.layout.alpha { luminance * self.sample_bytes() } else { 0 };
         let skipped = std::io::copy(&mut (&mut self.reader).take(alpha), &mut std::io::sink()).unwrap_or(0);
         if !whole || skipped != alpha {
-            self.warnings.push(format!("the stream is cut off inside frame {}", self.number));
+            self.warn(format!("the stream is cut off inside frame {}", self.number));
             return Ok(None);
         }
         self.ended = false;

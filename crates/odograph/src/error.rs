@@ -25,6 +25,7 @@ pub enum ErrorKind {
 pub struct Error {
     kind: ErrorKind,
     message: String,
+    list: Vec<String>,
     source: Option<Box<dyn Cause + Send + Sync>>,
 }
 
@@ -34,7 +35,7 @@ pub type Result<T> = std::result::Result<T, Error>;
 impl Error {
     /// An error of the given kind with the given message.
     pub fn new(kind: ErrorKind, message: impl Into<String>) -> Self {
-        Self { kind, message: message.into(), source: None }
+        Self { kind, message: message.into(), list: Vec::new(), source: None }
     }
 
     /// A [`ErrorKind::Usage`] error.
@@ -65,6 +66,17 @@ impl Error {
         Self { message: format!("{place}: {}", self.message), ..self }
     }
 
+    /// The same error with a list below the sentence, such as what could be chosen instead.
+    #[must_use]
+    pub fn with_list(self, lines: impl IntoIterator<Item = String>) -> Self {
+        Self { list: lines.into_iter().collect(), ..self }
+    }
+
+    /// The sentence without the list, and the lines of the list.
+    pub fn sentence_and_list(&self) -> (&str, &[String]) {
+        (&self.message, &self.list)
+    }
+
     /// The same error with what caused it as its [`source`](Cause::source): so a program can tell a
     /// full disk from a missing file.
     #[must_use]
@@ -75,7 +87,8 @@ impl Error {
 
 impl fmt::Display for Error {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
-        f.write_str(&self.message)
+        f.write_str(&self.message)?;
+        self.list.iter().try_for_each(|line| write!(f, "\n  {line}"))
     }
 }
 
@@ -98,5 +111,11 @@ mod tests {
         let cause = error.source().and_then(|cause| cause.downcast_ref::<io::Error>());
         assert_eq!(cause.map(io::Error::kind), Some(io::ErrorKind::NotFound));
         assert!(Error::usage("no camera is given").source().is_none());
+    }
+
+    #[test]
+    fn a_list_stands_below_the_sentence_wherever_that_gets_its_place() {
+        let error = Error::usage("choose a topic").with_list(["/left".into(), "/right".into()]).at("a.bag");
+        assert_eq!(error.to_string(), "a.bag: choose a topic\n  /left\n  /right");
     }
 }

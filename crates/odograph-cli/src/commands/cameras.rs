@@ -14,7 +14,7 @@ pub struct CamerasArguments {}
 pub fn cameras(_: CamerasArguments) -> Result<Outcome> {
     let mut text = String::new();
     for (path, name, modes) in found() {
-        let _ = writeln!(text, "{}  {name}", path.display());
+        let _ = writeln!(text, "{}  {}", console::name(path), console::name(name));
         for mode in modes {
             let _ = writeln!(text, "    {mode}");
         }

@@ -79,7 +79,7 @@ fn write_pages(mut command: clap::Command, folder: &Path) -> Result<Outcome> {
     for (name, page) in &pages {
         files::write(&folder.join(format!("{name}.1")), page)?;
     }
-    console::print(&format!("{} pages in {}\n", pages.len(), folder.display()))?;
+    console::print(&format!("{} pages in {}\n", pages.len(), console::name(folder)))?;
     Ok(Outcome::Done)
 }
 

@@ -80,7 +80,8 @@ fn text(file: &str, diagnosis: &Diagnosis, only_bad: bool) -> String {
     let head = match only_bad {
         true => String::new(),
         false => format!(
-            "{file}: {description}\n{frames_looked_at}{of_all} frames looked at, spread over {duration_s:.1} s\n"
+            "{}\n{frames_looked_at}{of_all} frames looked at, spread over {duration_s:.1} s\n",
+            console::name(format!("{file}: {description}"))
         ),
     };
     let shown = findings.iter().filter(|finding| !only_bad || finding.judgement != Judgement::Good);
@@ -90,5 +91,5 @@ fn text(file: &str, diagnosis: &Diagnosis, only_bad: bool) -> String {
 fn line(finding: &Finding) -> String {
     let Finding { topic, judgement, measured, advice, .. } = finding;
     let advice = advice.as_ref().map_or_else(String::new, |advice| format!("; {advice}"));
-    format!("{:<7} {topic}: {measured}{advice}\n", judgement.name())
+    console::name(format!("{:<7} {topic}: {measured}{advice}", judgement.name())) + "\n"
 }

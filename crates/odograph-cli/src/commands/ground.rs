@@ -118,8 +118,8 @@ pub fn ground(arguments: GroundArguments) -> Result<Outcome> {
             "{}{}\nWrote {}; look at {}\n",
             figures(&measured),
             measured.summary,
-            output.display(),
-            picture_path.display()
+            console::name(&output),
+            console::name(&picture_path)
         ))?;
     }
     Ok(Outcome::Done)

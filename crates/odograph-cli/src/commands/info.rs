@@ -76,6 +76,7 @@ pub fn info(arguments: InfoArguments) -> Result<Outcome> {
     let setup = CameraSetup { camera: arguments.camera.clone(), ..CameraSetup::default() };
     let camera = setup.or_of_profile(arguments.chosen.profile.as_deref())?.camera;
     let camera_text = camera.as_deref().map(files::read_text).transpose()?;
+    odograph_session::check_recording(Path::new(&arguments.file))?;
     let contents = odograph_video::inspect(&arguments.file)?;
     let fits = |stream: &Stream| -> Result<Option<bool>> {
         let (Some(text), Some(path)) = (&camera_text, &camera) else { return Ok(None) };
@@ -155,16 +156,17 @@ fn text(
     fits: &[Option<bool>],
 ) -> String {
     let mut text = String::new();
+    let shown = console::name(file);
     let is_recording = contents.streams.iter().any(|stream| stream.topic.is_some());
     let _ = match contents.streams.len() {
-        count if is_recording || count != 1 => writeln!(text, "{file}: {}, {count} topics", contents.format),
-        _ => writeln!(text, "{file}"),
+        count if is_recording || count != 1 => writeln!(text, "{shown}: {}, {count} topics", contents.format),
+        _ => writeln!(text, "{shown}"),
     };
     for (stream, fits) in contents.streams.iter().zip(fits) {
         let topic = stream.topic.as_ref().map(|topic| format!("{topic}  ")).unwrap_or_default();
-        let _ = writeln!(text, "{topic}{}", figures(stream).join(", "));
+        let _ = writeln!(text, "{}", console::name(format!("{topic}{}", figures(stream).join(", "))));
         for line in notes((file, camera, profile), stream, *fits) {
-            let _ = writeln!(text, "    {line}");
+            let _ = writeln!(text, "    {}", console::name(line));
         }
     }
     text

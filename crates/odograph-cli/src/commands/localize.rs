@@ -157,7 +157,7 @@ fn print_result(arguments: &LocalizeArguments, report: &RunOutcome) -> Result<()
     } else if let Some(place) = report.place.filter(|_| !arguments.quiet) {
         console::print(&sentence(&place, source(&place), report.statistics.frames))?;
         if let Some(folder) = &arguments.output {
-            console::print(&format!("Look at {}\n", folder.join("report.html").display()))?;
+            console::print(&format!("Look at {}\n", console::name(folder.join("report.html"))))?;
         }
     } else if !arguments.quiet {
         alike.iter().try_for_each(|place| console::print(&alike_line(place)))?;
@@ -204,7 +204,7 @@ fn sentence(place: &PoseInMap, source: Option<String>, frames: u64) -> String {
         1 => String::new(),
         _ => format!("at frame {} ({:.2} s): ", place.frame, place.time_s),
     };
-    let source = source.map_or(String::new(), |source| format!(" ({source})"));
+    let source = source.map_or(String::new(), |source| format!(" ({})", console::name(source)));
     format!(
         "{at}x {} m ± {:.1} mm, y {} m ± {:.1} mm, heading {}° ± {:.2}° (one standard deviation)\n\
          nearest: keyframe {}, {:.3} m away, of session {}{source}\n",

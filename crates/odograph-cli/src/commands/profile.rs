@@ -65,7 +65,7 @@ pub fn profile(arguments: ProfileArguments) -> Result<Outcome> {
         ProfileCommand::Show(NamedProfile { name }) => {
             let profile = profiles::read_unchecked(&name)?;
             let (path, text) = (profiles::file(&name)?, profiles::text(&profile)?);
-            console::print(&format!("# {}\n{text}", path.display()))?;
+            console::print(&format!("# {}\n{text}", console::name(path)))?;
         }
         ProfileCommand::Remove(NamedProfile { name }) => {
             profiles::read_unchecked(&name)?;
@@ -143,7 +143,7 @@ fn list() -> Result<()> {
 /// A profile in a line.
 fn summary(profile: &Profile) -> String {
     let Profile { camera, field_of_view_m, rig, height_m, readout_ms, mask } = profile;
-    let file = |what: &str, path: &Option<PathBuf>| Some(format!("{what} {}", path.as_ref()?.display()));
+    let file = |what: &str, path: &Option<PathBuf>| Some(format!("{what} {}", console::name(path.as_ref()?)));
     let parts = [
         file("camera", camera),
         field_of_view_m.map(|(width_m, height_m)| format!("field of view {width_m} m x {height_m} m")),

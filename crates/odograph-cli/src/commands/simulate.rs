@@ -380,7 +380,7 @@ fn print_result(folder: &Path, simulation: &Simulation) -> Result<()> {
     let last_s = simulation.times_s().last().copied().unwrap_or(0.0);
     crate::console::print(&format!(
         "{}: {} frames, {last_s:.2} s, {:.2} m of path; truth.tum, camera.yaml and rig.toml lie beside them\n",
-        folder.display(),
+        crate::console::name(folder),
         simulation.len(),
         simulation.config().path.length_m(),
     ))

@@ -8,7 +8,7 @@ use odograph_site::{
     DEFAULT_PORT, LinkReport, Site, SiteAddress, SiteClient, SiteLink, SiteServer, SiteStatus,
 };
 use serde_json::json;
-use std::net::{IpAddr, Ipv4Addr, SocketAddr};
+use std::net::{IpAddr, Ipv4Addr, SocketAddr, TcpListener};
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
 use std::thread;
@@ -236,6 +236,10 @@ fn serve(arguments: &ServeSiteArguments) -> Result<Outcome> {
         None if arguments.listen.ip().is_loopback() => None,
         None => Some(new_token()?),
     };
+    // Nothing is made for an address that cannot be served.
+    drop(TcpListener::bind(arguments.listen).map_err(|error| {
+        Error::usage(format!("the page cannot be served at {}: {error}", arguments.listen))
+    })?);
     files::make_folder(&arguments.folder)?;
     let site = Arc::new(Site::open(&arguments.folder)?);
     let server = SiteServer::start(arguments.listen, Arc::clone(&site), token)?;
@@ -288,7 +292,7 @@ fn robots(arguments: &RobotsArguments) -> Result<Outcome> {
         let recognised = if session["connected"] == json!(true) { "" } else { ", not recognised yet" };
         let condition = match robot["state"].as_str() {
             Some(state @ ("quarantined" | "withdrawn")) => {
-                format!("{state}: {}", robot["reason"].as_str().unwrap_or_default())
+                format!("{state}: {}", console::name(robot["reason"].as_str().unwrap_or_default()))
             }
             _ => format!("{}{recognised}", session["condition"].as_str().unwrap_or_default()),
         };

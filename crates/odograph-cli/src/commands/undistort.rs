@@ -144,7 +144,7 @@ fn print_result(
         camera.focal_px().0,
         camera.focal_px().1,
         100.0 * empty,
-        folder.join("before-after.png").display(),
+        console::name(folder.join("before-after.png")),
     ))?;
     corrected.warnings.iter().for_each(|warning| console::warn(warning));
     if rolling {

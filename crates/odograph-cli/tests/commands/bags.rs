@@ -162,7 +162,7 @@ fn write(path: &Path, topics: &[&str]) {
 }
 
 /// The same with static transforms, and with positions of a satellite receiver at the frames.
-fn write_robot(
+pub fn write_robot(
     path: &Path,
     topics: &[&str],
     on_robot: &[(&str, &str, [f64; 7])],

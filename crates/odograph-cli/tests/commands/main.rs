@@ -9,6 +9,8 @@ mod board;
 mod calibrate;
 mod camera;
 mod doctor;
+#[cfg(unix)]
+mod documents;
 mod evaluate;
 mod gnss;
 mod ground;
@@ -16,6 +18,7 @@ mod hostile;
 mod many;
 mod map;
 mod markers;
+mod pages;
 mod pattern;
 mod profile;
 mod program;

@@ -180,3 +180,29 @@ fn info_says_what_to_type() {
     let said = done(folder, &["info", "sim/sim.y4m", "--camera", "sim/camera.yaml"]);
     assert!(said.contains("odograph run sim/sim.y4m --camera sim/camera.yaml --height LENGTH\n"), "{said}");
 }
+
+#[test]
+fn a_terminal_without_a_width_gets_lines_of_help() {
+    let help = |columns: &str| {
+        let mut command = Command::new(env!("CARGO_BIN_EXE_odograph"));
+        let output = command.arg("--help").env("COLUMNS", columns).output().unwrap();
+        String::from_utf8(output.stdout).unwrap()
+    };
+    for columns in ["0", "1"] {
+        assert!(
+            help(columns).contains("One video camera in, a metric trajectory and map out\n"),
+            "{columns}"
+        );
+    }
+}
+
+#[test]
+#[cfg(unix)]
+fn a_name_that_is_no_text_is_named() {
+    use std::os::unix::ffi::OsStrExt;
+    let name = std::ffi::OsStr::from_bytes(b"dr\xffve.mp4");
+    let output = Command::new(env!("CARGO_BIN_EXE_odograph")).arg("info").arg(name).output().unwrap();
+    let said = message(&output);
+    assert_eq!(output.status.code(), Some(2), "{said}");
+    assert!(said.contains("the name dr\u{fffd}ve.mp4 is not UTF-8 text; rename the file"), "{said}");
+}

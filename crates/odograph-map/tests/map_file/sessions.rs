@@ -5,7 +5,7 @@ use odograph::camera::{Camera, Distortion, LeverArm, Rig};
 use odograph::ground_map::{KeyframeImage, KeyframeImages, MountedCamera};
 use odograph::image::GrayImage;
 use odograph::keyframe::{EdgeKind, KeyframeId, MapEdge};
-use odograph_map::{MapFile, Outbox, OutgoingRecord, PathFrame, repair};
+use odograph_map::{MapFile, Outbox, OutgoingRecord, PathFrame, SessionOrigin, repair};
 use std::path::Path;
 
 fn other() -> MountedCamera {
@@ -37,7 +37,8 @@ fn with_two_cameras(path: &Path) {
     map.close().unwrap();
     assert_eq!(version(path), 1, "a map of one camera is one that older programs read");
     let mut map = MapFile::open(path).unwrap();
-    let second = map.begin_session_by("cart-2", "b.mp4", Some(&other())).unwrap();
+    let second =
+        map.begin_session_by(&SessionOrigin::new("cart-2").unwrap(), "b.mp4", Some(&other())).unwrap();
     map.add_keyframe(&keyframe(1, second), &small_image(), &[]).unwrap();
     map.add_keyframe(&keyframe(2, second), &small_image(), &[edge_to(2)]).unwrap();
     let wrong = map.add_keyframe(&keyframe(3, second), &image(3), &[]).unwrap_err().to_string();
@@ -112,10 +113,22 @@ fn a_robot_needs_a_plain_name() {
     let folder = tempfile::tempdir().unwrap();
     let mut map = MapFile::create(&folder.path().join("map.gpkg"), &camera(), &Rig::level(0.5)).unwrap();
     for name in ["", "-a", "a b", "a/b", "größe", "a\n", &"x".repeat(65)] {
-        assert!(map.begin_session_by(name, "a.mp4", None).is_err(), "{name:?}");
+        assert!(SessionOrigin::new(name).is_err(), "{name:?}");
+        let origin = SessionOrigin { robot: name.into(), key: "0".repeat(32) };
+        assert!(map.begin_session_by(&origin, "a.mp4", None).is_err(), "{name:?}");
     }
     assert!(map.sessions().unwrap().is_empty());
-    map.begin_session_by("Cart_2.b", "a.mp4", None).unwrap();
+    map.begin_session_by(&SessionOrigin::new("Cart_2.b").unwrap(), "a.mp4", None).unwrap();
+}
+
+#[test]
+fn keys_are_drawn_and_the_one_that_follows_is_the_same_each_time() {
+    let [one, other] = [0, 1].map(|_| SessionOrigin::new("cart").unwrap().validated().unwrap());
+    assert_ne!(one.key, other.key);
+    let following = one.following().validated().unwrap();
+    assert!(following == one.following() && following != one, "{following:?}");
+    let last = SessionOrigin { robot: "cart".into(), key: "f".repeat(32) };
+    assert_eq!(last.following().key, "0".repeat(32));
 }
 
 /// Reads everything there is, `most` records at a time.
@@ -138,7 +151,7 @@ fn records_are_the_same_whenever_they_are_read() {
     // Keyframes of an earlier session, so that numbers are not ids.
     let before = map.begin_session("before.mp4").unwrap();
     map.add_keyframe(&keyframe(0, before), &image(0), &[]).unwrap();
-    let session = map.begin_session_by("cart", "a.mp4", None).unwrap();
+    let session = map.begin_session_by(&SessionOrigin::new("cart").unwrap(), "a.mp4", None).unwrap();
     let origin = map.sessions().unwrap()[1].origin.clone().unwrap();
     let mut early = Outbox::new(&map, &origin).unwrap();
     assert!(early.next(&map, 10).unwrap().is_empty());

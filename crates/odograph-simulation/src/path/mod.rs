@@ -200,7 +200,7 @@ impl Path {
         let duration_s = path.end_s;
         if duration_s.is_nan() || duration_s > 86_400.0 {
             return Err(Error::usage(format!(
-                "the path would take {duration_s:.0} s; make it shorter or faster, a day is the limit"
+                "the path would take {duration_s:?} s; make it shorter or faster, a day is the limit"
             )));
         }
         // A pivot is in world coordinates; all other shapes start along the vehicle's forward

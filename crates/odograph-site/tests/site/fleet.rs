@@ -1,7 +1,7 @@
 //! A fleet and its site, over HTTP on this machine.
 
 use crate::robots::Robot;
-use odograph_map::MapFile;
+use odograph_map::{MapFile, SessionOrigin};
 use odograph_site::protocol::RobotState;
 use odograph_site::{LinkReport, Site, SiteClient, SiteLink, SiteServer};
 use serde_json::Value;
@@ -164,4 +164,33 @@ fn a_robot_goes_on_when_the_site_comes_back() {
     // Another link has nothing to send.
     assert_eq!(served.send(&one, &map).acknowledged, 0);
     assert!(Site::open(&place).unwrap_err().to_string().contains("another program"), "one server at a time");
+}
+
+#[test]
+fn a_run_that_was_killed_sent_and_begun_again_is_one_session() {
+    let folder = tempfile::tempdir().unwrap();
+    let place = folder.path().join("site");
+    let one = Robot::first();
+    let origin = SessionOrigin::new(one.name).unwrap();
+    let [half, whole] = [("half", 50), ("whole", 100)].map(|(name, frames)| {
+        let folder = folder.path().join(name);
+        std::fs::create_dir(&folder).unwrap();
+        one.drive_part(&folder, &origin, frames)
+    });
+    let served = Served::new(&place, any_port());
+    served.send(&one, &half);
+    assert_eq!(served.session(&one)["records"], keyframes(&half));
+    let report = served.send(&one, &whole);
+    assert!(report.status.unwrap().ended);
+    let page = served.client().state().unwrap();
+    assert_eq!(page["sessions"].as_array().unwrap().len(), 1, "{page}");
+    assert_eq!(
+        (&page["sessions"][0]["condition"], in_map(&place, &one)),
+        (&"ended".into(), keyframes(&whole))
+    );
+    assert!(keyframes(&whole) > keyframes(&half));
+    // Nothing is left to send, neither of the whole nor of the half of it.
+    for map in [&whole, &half] {
+        assert_eq!(served.send(&one, map).acknowledged, 0);
+    }
 }

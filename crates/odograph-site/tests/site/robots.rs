@@ -8,7 +8,7 @@ use odograph::keyframe::{KeyframeId, MapEdge};
 use odograph::loop_closure::LoopClosureConfig;
 use odograph::odometry::{Odometry, OdometryConfig};
 use odograph::slam::Mapper;
-use odograph_map::MapFile;
+use odograph_map::{MapFile, SessionOrigin};
 use odograph_simulation::{Ground, Renderer, Texture};
 use std::path::{Path, PathBuf};
 use std::sync::LazyLock;
@@ -67,17 +67,22 @@ impl Robot {
 
     /// Drives its lane, and writes its map as a run would.
     pub fn drive(&self, folder: &Path) -> PathBuf {
+        self.drive_part(folder, &SessionOrigin::new(self.name).unwrap(), self.lane.2)
+    }
+
+    /// Drives the first frames of its lane only, as this session.
+    pub fn drive_part(&self, folder: &Path, origin: &SessionOrigin, frames: usize) -> PathBuf {
         let path = folder.join(format!("{}.gpkg", self.name));
         let rig = Rig::level(self.told_m);
         let mut file = MapFile::create(&path, &self.camera, &rig).unwrap();
-        file.begin_session_by(self.name, "drive.mp4", None).unwrap();
+        file.begin_session_by(origin, "drive.mp4", None).unwrap();
         let config = OdometryConfig::default();
         let mut mapper = Mapper::new(&self.camera, rig, &config, LoopClosureConfig::default());
         let mut odometry = Odometry::new(self.camera.clone(), rig, config).unwrap();
         odometry.record_keyframes();
         let renderer = Renderer::new(&self.camera);
         let mut store = Store(file);
-        for frame in 0..self.lane.2 {
+        for frame in 0..frames {
             let image = renderer.gray_view(&GROUND, &self.pose(0.04 * frame as f64));
             odometry.process(image, frame as f64 / 15.0).unwrap();
             for event in odometry.take_keyframe_events() {

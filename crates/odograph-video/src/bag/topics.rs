@@ -28,14 +28,15 @@ pub(super) fn with_frames(recording: &mut dyn MessageReader, name: Option<&str>)
                 format!("; {} has {} messages of the type {}", topic.name, topic.count, topic.type_name)
             })
             .collect();
-        return Err(Error::usage(format!(
-            "there are no images on the topic {name}{}; {}",
-            others.concat(),
-            match all.len() {
-                0 => "no topic has images".to_owned(),
-                count => format!("there are {count} topics with images:{}", list(recording, &all)?),
+        let refused = |rest: &str| {
+            Error::usage(format!("there are no images on the topic {name}{}; {rest}", others.concat()))
+        };
+        return Err(match all.len() {
+            0 => refused("no topic has images"),
+            count => {
+                refused(&format!("there are {count} topics with images:")).with_list(list(recording, &all)?)
             }
-        )));
+        });
     }
     match all.as_slice() {
         [] if recording.topics().is_empty() => Err(Error::input(format!(
@@ -50,10 +51,10 @@ pub(super) fn with_frames(recording: &mut dyn MessageReader, name: Option<&str>)
             match listed.as_slice() {
                 [only] => Ok(only.clone()),
                 _ => Err(Error::usage(format!(
-                    "there are {} topics with images; choose one with --topic NAME:{}",
-                    listed.len(),
-                    list(recording, listed)?
-                ))),
+                    "there are {} topics with images; choose one with --topic NAME:",
+                    listed.len()
+                ))
+                .with_list(list(recording, listed)?)),
             }
         }
     }
@@ -81,7 +82,7 @@ fn others(topics: &[Topic]) -> String {
 }
 
 /// Topics with images as a list for people, a line each: name, type, size, rate and number.
-fn list(recording: &mut dyn MessageReader, topics: &[Topic]) -> Result<String> {
+fn list(recording: &mut dyn MessageReader, topics: &[Topic]) -> Result<Vec<String>> {
     let firsts = first_images(recording, topics)?;
     let row = |(topic, first): (&Topic, &Option<FirstImage>)| {
         let image = match first {
@@ -102,8 +103,9 @@ fn list(recording: &mut dyn MessageReader, topics: &[Topic]) -> Result<String> {
         }
     }
     let line = |row: &[String; 5]| {
-        let cells = row.iter().zip(widths).map(|(cell, width)| format!("  {cell:width$}"));
-        format!("\n{}", cells.collect::<String>().trim_end())
+        let cells: Vec<String> =
+            row.iter().zip(widths).map(|(cell, width)| format!("{cell:width$}")).collect();
+        cells.join("  ").trim_end().to_owned()
     };
     Ok(rows.iter().map(line).collect())
 }

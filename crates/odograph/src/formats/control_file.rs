@@ -11,12 +11,22 @@ use crate::error::{Error, Result};
 use crate::landmark::ControlPoint;
 use std::collections::BTreeMap;
 use std::fmt::Write;
+use std::ops::RangeInclusive;
+
+/// Largest coordinate, metres: survey frames of countries have seven digits.
+const MAX_COORDINATE_M: f64 = 1e8;
+
+/// Accepted standard deviations, metres: below the first one is rounded to nothing.
+const DEVIATIONS_M: RangeInclusive<f64> = 1e-6..=1e3;
+
+/// Largest heading, degrees. Larger are gons, or a mistake.
+const MAX_HEADING_DEG: f64 = 360.0;
 
 /// Reads the control points, in the order of the file.
 ///
-/// Fails, naming the line, if a column is missing, a value is not a finite number, a marker's
-/// number is not a whole one, a standard deviation is not positive, or a marker stands there twice.
-/// Also fails if there is none.
+/// Fails, naming the line, if a column is missing, a value is not a finite number or beyond its
+/// range, a marker's number is not a whole one, or a marker stands there twice. Also fails if there
+/// is none.
 pub fn parse(text: &str) -> Result<Vec<ControlPoint>> {
     let mut table = Columns::new(text)?;
     let named = ["marker", "x_m", "y_m"].map(|name| table.named(name));
@@ -46,18 +56,35 @@ pub fn parse(text: &str) -> Result<Vec<ControlPoint>> {
             )));
         }
         let sigma_m = sigma.map_or(Ok(ControlPoint::USUAL_SIGMA_M), |column| table.value(&row, column))?;
-        if sigma_m <= 0.0 {
+        if !DEVIATIONS_M.contains(&sigma_m) {
             return Err(Error::input(format!(
-                "line {}: the standard deviation of marker {number} is {sigma_m} m; it must be positive, such as 0.002",
+                "line {}: the standard deviation of marker {number} is {sigma_m:?} m; it must be positive, from {} to {} m, \
+                 such as 0.002",
+                row.line,
+                DEVIATIONS_M.start(),
+                DEVIATIONS_M.end()
+            )));
+        }
+        let (x_m, y_m) = (table.value(&row, x)?, table.value(&row, y)?);
+        if x_m.abs().max(y_m.abs()) > MAX_COORDINATE_M {
+            return Err(Error::input(format!(
+                "line {}: marker {number} is at {x_m:?} m and {y_m:?} m; no place on Earth is farther than {MAX_COORDINATE_M:?} m",
+                row.line
+            )));
+        }
+        let heading_deg = heading.map(|column| table.value(&row, column)).transpose()?;
+        if let Some(heading_deg) = heading_deg.filter(|heading_deg| heading_deg.abs() > MAX_HEADING_DEG) {
+            return Err(Error::input(format!(
+                "line {}: the heading of marker {number} is {heading_deg:?}; it must be in degrees, from -360 to 360",
                 row.line
             )));
         }
         points.push(ControlPoint {
             number,
-            x_m: table.value(&row, x)?,
-            y_m: table.value(&row, y)?,
+            x_m,
+            y_m,
             sigma_m,
-            heading_rad: heading.map(|column| table.value(&row, column)).transpose()?.map(f64::to_radians),
+            heading_rad: heading_deg.map(f64::to_radians),
         });
     }
     if points.is_empty() {
@@ -106,6 +133,20 @@ mod tests {
         assert_eq!((usual.number, usual.y_m, usual.sigma_m), (7, 2.0, ControlPoint::USUAL_SIGMA_M));
     }
 
+    /// What once failed the fuzz target.
+    #[test]
+    fn what_is_accepted_can_be_written_and_read_again() {
+        let folder = concat!(env!("CARGO_MANIFEST_DIR"), "/../../fuzz/regressions/control_file");
+        let inputs: Vec<_> = std::fs::read_dir(folder).unwrap().collect();
+        assert!(!inputs.is_empty());
+        for input in inputs {
+            let bytes = std::fs::read(input.unwrap().path()).unwrap();
+            if let Ok(points) = parse(&String::from_utf8_lossy(&bytes)) {
+                assert_eq!(parse(&write(&points)).unwrap().len(), points.len());
+            }
+        }
+    }
+
     #[test]
     fn errors_name_the_line_and_the_value() {
         for (text, part) in [
@@ -118,6 +159,16 @@ mod tests {
             ("marker,x_m,y_m\n-1,2,3\n", "line 2: -1 stands where"),
             ("marker,x_m,y_m\n1,2,3\n2,2,3\n1,4,4\n", "line 4: marker 1 stands in line 2 already"),
             ("marker,x_m,y_m,sigma_m\n1,2,3,0\n", "it must be positive"),
+            (
+                "marker,x_m,y_m,sigma_m\n1,2,3,1e-7\n",
+                "is 1e-7 m; it must be positive, from 0.000001 to 1000 m",
+            ),
+            ("marker,x_m,y_m,sigma_m\n1,2,3,1e300\n", "is 1e300 m; it must be positive"),
+            ("marker,x_m,y_m\n1,2,-1e300\n", "line 2: marker 1 is at 2.0 m and -1e300 m; no place on Earth"),
+            (
+                "marker,x_m,y_m,heading_deg\n1,2,3,390\n",
+                "line 2: the heading of marker 1 is 390.0; it must be in degrees",
+            ),
         ] {
             let error = parse(text).unwrap_err().to_string();
             assert!(error.contains(part) && !error.contains('\n'), "{text:?}: {error}");

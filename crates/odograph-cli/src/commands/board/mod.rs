@@ -87,7 +87,7 @@ pub fn board(arguments: BoardArguments) -> Result<Outcome> {
     if !quiet {
         console::print(&format!(
             "{}: {board}, {} on {}\nPrint it at 100 %, without fitting to the page; the ruler must then measure {} mm\n",
-            output.display(),
+            console::name(output),
             page.pattern_text(),
             page.paper_text(),
             page.ruler_mm(),

@@ -3,7 +3,7 @@
 use super::CalibrationResult;
 use super::focal_length::focal_px;
 use super::output::CalibrationOutput;
-use crate::console::quoted;
+use crate::console::{self, quoted};
 use crate::report::calibration::{lens_name, pixels_text};
 use odograph::drawing::scale::label;
 use odograph_calibration::Verdict;
@@ -57,7 +57,7 @@ pub fn text(calibrated: &CalibrationResult, output: &CalibrationOutput) -> Strin
             let _ = writeln!(text, "Next time: {}", hints.join("; "));
         }
     }
-    let _ = writeln!(text, "Look at {}", output.report_page().display());
+    let _ = writeln!(text, "Look at {}", console::name(output.report_page()));
     let camera = quoted(output.camera_file());
     match calibration.verdict {
         Verdict::DoItAgain => {

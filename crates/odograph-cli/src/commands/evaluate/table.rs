@@ -1,5 +1,6 @@
 //! The result as a table for people.
 
+use crate::console::name;
 use odograph::evaluation::{Evaluation, EvaluationOptions, Statistics};
 use std::fmt::Write;
 use std::path::Path;
@@ -28,8 +29,8 @@ fn summary(
     over_ground_m: Option<[f64; 2]>,
 ) -> String {
     let mut out = String::new();
-    let _ =
-        writeln!(out, "{} against {}, alignment {}", estimate.display(), truth.display(), options.alignment);
+    let [estimate, truth] = [estimate, truth].map(name);
+    let _ = writeln!(out, "{estimate} against {truth}, alignment {}", options.alignment);
     let share = 100.0 * e.pairs.len() as f64 / e.truth_poses as f64;
     let covered =
         e.time_covered.map_or(String::new(), |part| format!(", over {:.1} % of its time", 100.0 * part));

@@ -1,7 +1,7 @@
 //! The rig from pictures and clips of a board on the floor.
 
 use super::{CAMERA_UNKNOWN, GroundArguments, RigMeasurement, read_camera};
-use crate::interrupt;
+use crate::{console, interrupt};
 use odograph::error::{Error, Result};
 use odograph::image::RgbImage;
 use odograph_calibration::{Board, BoardFinder, BoardView};
@@ -147,8 +147,9 @@ fn summary(board: &Board, mounting: &BoardMounting, names: &[String], still: usi
             pitch.to_degrees()
         );
     }
+    let names: Vec<String> = names.iter().map(console::name).collect();
     let width = names.iter().map(|name| name.chars().count()).max().unwrap_or(0).min(40);
-    for (view, name) in mounting.views.iter().zip(names) {
+    for (view, name) in mounting.views.iter().zip(&names) {
         let Some(pose) = view.pose else {
             text += &format!("  {name:<width$}  left out\n");
             continue;

@@ -199,7 +199,7 @@ fn described(info: &MapInfo, checked: bool) -> String {
     let _ = writeln!(
         text,
         "{}: {:.1} MB, {:.1} MB of them images",
-        info.file,
+        console::name(&info.file),
         megabytes(info.bytes),
         megabytes(info.image_bytes)
     );
@@ -245,7 +245,11 @@ fn described(info: &MapInfo, checked: bool) -> String {
         let _ = writeln!(
             text,
             "session {}  {}: {} keyframes, {} frames, {:.2} m",
-            session.id, session.source, session.keyframes, session.frames, session.path_m
+            session.id,
+            console::name(&session.source),
+            session.keyframes,
+            session.frames,
+            session.path_m
         );
         if let Some(origin) = &session.origin {
             let numbers = match (origin.first_number, origin.last_number) {

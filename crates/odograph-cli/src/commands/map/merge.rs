@@ -58,7 +58,7 @@ pub fn merge(arguments: &MergeArguments) -> Result<Outcome> {
     })?;
     MapFile::replace(&claim, &beside)?;
     if !arguments.quiet {
-        console::print(&format!("{summary}{}\n", arguments.output.display()))?;
+        console::print(&format!("{summary}{}\n", console::name(&arguments.output)))?;
     }
     Ok(Outcome::Done)
 }
@@ -94,7 +94,7 @@ fn joined(first: &Path, others: &[PathBuf], path: &Path, arguments: &MergeArgume
         file = back;
         summary += &format!(
             "{}: {} keyframes, seen again in {} places\n",
-            other.display(),
+            console::name(other),
             added.merged.keyframes,
             added.merged.loops
         );

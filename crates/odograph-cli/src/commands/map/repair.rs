@@ -40,7 +40,7 @@ pub fn repair(arguments: &RepairArguments) -> Result<Outcome> {
     let damaged = arguments.map.as_path();
     if arguments.output.is_none() && is_sound(damaged) {
         if !arguments.quiet {
-            console::print(&format!("{}: no damage found; nothing was written\n", damaged.display()))?;
+            console::print(&format!("{}: no damage found; nothing was written\n", console::name(damaged)))?;
         }
         return Ok(Outcome::Done);
     }
@@ -66,7 +66,7 @@ pub fn repair(arguments: &RepairArguments) -> Result<Outcome> {
         let Repair { keyframes, keyframes_lost, edges, frames, .. } = saved;
         console::print(&format!(
             "{keyframes} keyframes saved, {keyframes_lost} known to be lost; {edges} edges, {frames} frames of paths\n{}\n",
-            output.display()
+            console::name(&output)
         ))?;
     }
     Ok(Outcome::Done)

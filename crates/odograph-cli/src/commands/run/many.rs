@@ -137,10 +137,10 @@ pub fn run(recordings: &[ListedRecording], arguments: &RunArguments, folder: &Pa
                 Err(error) => End::Failed(error),
             };
             if let End::Failed(error) = &end {
-                let (error, place) = (error.to_string(), format!("{}: ", recording.source));
+                let place = format!("{}: ", recording.source);
                 // Most errors name the recording themselves.
-                let place = if error.starts_with(&place) { "" } else { &place };
-                console::error(&format!("{place}{error}"));
+                let place = if error.to_string().starts_with(&place) { "" } else { &place };
+                console::failure(place, error);
             }
             if let Ok(mut place) = ends[index].lock() {
                 *place = end;
@@ -207,8 +207,9 @@ fn print_summary(
     if arguments.output.quiet {
         return Ok(());
     }
-    let widest = recordings.iter().map(|recording| recording.name.chars().count()).max().unwrap_or(0);
-    for (recording, end) in recordings.iter().zip(ends) {
+    let names: Vec<String> = recordings.iter().map(|recording| console::name(&recording.name)).collect();
+    let widest = names.iter().map(|name| name.chars().count()).max().unwrap_or(0);
+    for ((recording, name), end) in recordings.iter().zip(&names).zip(ends) {
         let shown = match end {
             End::Followed(report) => {
                 let statistics = &report.statistics;
@@ -224,10 +225,11 @@ fn print_summary(
             End::Failed(_) => "failed; see above".to_owned(),
             End::NotBegun => NOT_BEGUN.to_owned(),
         };
-        console::print(&format!("{:widest$}  {shown}\n", recording.name))?;
+        console::print(&format!("{name:widest$}  {shown}\n"))?;
     }
     let followed = ends.iter().filter(|end| matches!(end, End::Followed(_))).count();
-    console::print(&format!("{followed} of {} recordings followed, in {}\n", ends.len(), results.display()))
+    let folder = console::name(results);
+    console::print(&format!("{followed} of {} recordings followed, in {folder}\n", ends.len()))
 }
 
 const NOT_BEGUN: &str = "not begun: the program was asked to end";

@@ -12,7 +12,7 @@ pub fn print_summary(outcome: &RunOutcome, quiet: bool, json: bool) -> Result<()
         console::print(&format!("{}\n", statistics.json()?))?;
     } else if !quiet {
         let page = outcome.folder.join("report.html");
-        console::print(&format!("{}Look at {}\n", statistics.summary(), page.display()))?;
+        console::print(&format!("{}Look at {}\n", statistics.summary(), console::name(page)))?;
     }
     if quiet {
         return Ok(());

@@ -1,6 +1,6 @@
 //! Black-box tests of `odograph calibrate`: its results, and its messages for unsuitable input.
 
-mod boards;
+pub mod boards;
 #[path = "../../live/browser.rs"]
 #[allow(dead_code)] // only a part of it is used here
 mod browser;

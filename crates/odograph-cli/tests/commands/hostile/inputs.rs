@@ -237,6 +237,72 @@ fn lengths_have_units_and_implausible_heights_cause_warnings() {
     place.refused(with_rig, 3, "the height is 1.0e300 m");
 }
 
+/// The bundled drive with its camera and rig.
+const DEMO: &str = concat!(env!("CARGO_MANIFEST_DIR"), "/demo");
+
+#[test]
+#[cfg(unix)]
+fn names_are_printed_on_their_line() {
+    let place = HostileFolder::new();
+    let (breaks, shown) = ("a\nb\u{1b}[2J\u{202e}", "a\\nb\\u001b[2J\\u202e");
+    let folder = place.path(breaks);
+    fs::create_dir(&folder).unwrap();
+    let clip = fs::read_dir(DEMO).unwrap().map(|entry| entry.unwrap().path());
+    let clip = clip.into_iter().find(|path| path.extension().is_some_and(|ending| ending == "mp4")).unwrap();
+    for (from, name) in [(clip, "drive.mp4"), (format!("{DEMO}/camera.yaml").into(), "camera.yaml")] {
+        fs::copy(from, folder.join(name)).unwrap();
+    }
+    fs::write(folder.join("board.png"), b"no picture").unwrap();
+    let run = "run N/drive.mp4 --camera N/camera.yaml --height 0.3 --max-frames 40 -o N/out";
+    // Command, and the exit code that it ends with.
+    for (arguments, code) in [
+        (run, 0),
+        (run, 2),
+        ("run N/drive.mp4 N/nothing.mp4 --camera N/camera.yaml --height 0.3 --max-frames 9 -o N/many", 3),
+        ("info N/drive.mp4 --camera N/camera.yaml", 0),
+        ("info N/nothing.mp4", 3),
+        ("doctor N/drive.mp4 --camera N/camera.yaml --height 0.3", 0),
+        ("evaluate N/out/trajectory.tum N/out/odometry.tum", 0),
+        ("evaluate N/out/trajectory.tum N/camera.yaml", 3),
+        ("map info N/out/map.gpkg", 0),
+        ("map info N/camera.yaml", 3),
+        ("map export N/out/map.gpkg -o N/map.ply", 0),
+        ("map export N/out/map.gpkg N/map.ply", 2),
+        ("map merge N/out/map.gpkg N/out/map.gpkg -o N/both.gpkg", 2),
+        ("map thin N/out/map.gpkg --max-keyframes 3", 0),
+        ("map mosaic N/out/map.gpkg", 0),
+        ("map repair N/out/map.gpkg", 0),
+        ("map optimize N/out/map.gpkg", 0),
+        ("localize N/drive.mp4 --map N/out/map.gpkg --max-frames 5", 0),
+        ("localize N/board.png --map N/out/map.gpkg", 3),
+        ("calibrate N/board.png --board chessboard:9x6:25mm -o N/found.yaml", 3),
+        ("ground N/board.png --board chessboard:9x6:25mm --camera N/camera.yaml", 3),
+        ("camera show N/camera.yaml", 0),
+        ("undistort N/drive.mp4 --camera N/camera.yaml --max-frames 3 -o N/flat", 0),
+        ("view N/nowhere", 3),
+        ("view N/camera.yaml", 3),
+        ("site serve N/camera.yaml", 3),
+        ("site serve N/out", 3),
+        ("site send N/out/map.gpkg --site http://127.0.0.1:9/ --robot cart", 3),
+        ("board --board chessboard:9x6:25mm -o N/board.pdf", 0),
+        ("simulate -o N/sim --duration 0.1", 0),
+    ] {
+        let words = arguments.split(' ').map(|word| word.replace('N', breaks));
+        let mut command = std::process::Command::new(env!("CARGO_BIN_EXE_odograph"));
+        command.current_dir(place.path("")).env("ODOGRAPH_FFMPEG", "").args(words);
+        let done = command.output().unwrap();
+        let [out, err] =
+            [&done.stdout, &done.stderr].map(|bytes| String::from_utf8_lossy(bytes).into_owned());
+        assert_eq!(done.status.code(), Some(code), "{arguments}: {err}");
+        for text in [&out, &err] {
+            let raw =
+                text.lines().any(|line| line.starts_with('b') && line[1..].starts_with(['\u{1b}', '\\']));
+            assert!(!raw && !text.contains(['\u{1b}', '\u{202e}']), "{arguments}: {text:?}");
+        }
+        assert!(code == 0 || err.contains(shown), "{arguments}: {err}");
+    }
+}
+
 #[test]
 fn control_characters_of_files_do_not_reach_the_terminal() {
     let place = HostileFolder::new();

@@ -4,6 +4,7 @@ use super::recording::{names, y4m};
 use super::run_folder::{HostileFolder, assert_refused, assert_whole};
 use std::fs;
 use std::io::Write;
+use std::path::Path;
 use std::process::{Child, Command, Stdio};
 use std::time::{Duration, Instant};
 
@@ -162,6 +163,112 @@ fn a_run_again_replaces_its_half_in_the_map() {
     assert!(place.run("drive.y4m -o other --map hall.gpkg -q").status.success());
     let message = "hall.gpkg has been continued since this run was killed";
     assert_refused(&place.run("--resume out"), 3, message, "a map that others have continued");
+}
+
+/// A full pipe: who writes into it waits.
+#[cfg(target_os = "linux")]
+fn full_pipe(path: &Path) -> fs::File {
+    use std::os::unix::fs::OpenOptionsExt;
+    const NONBLOCK: i32 = 0o4000;
+    assert!(Command::new("mkfifo").arg(path).status().unwrap().success());
+    let mut pipe = fs::OpenOptions::new().read(true).write(true).custom_flags(NONBLOCK).open(path).unwrap();
+    while pipe.write(&[0; 4096]).is_ok() {}
+    pipe
+}
+
+/// Whether a process has a file open.
+#[cfg(target_os = "linux")]
+fn has_open(process: u32, path: &Path) -> bool {
+    let Ok(entries) = fs::read_dir(format!("/proc/{process}/fd")) else { return false };
+    entries.flatten().any(|entry| fs::read_link(entry.path()).is_ok_and(|open| open == path))
+}
+
+#[test]
+#[cfg(target_os = "linux")]
+fn a_run_killed_while_its_path_is_written_is_run_again() {
+    let place = HostileFolder::new();
+    fs::write(place.path("drive.y4m"), y4m(40)).unwrap();
+    let usual = "drive.y4m --camera camera.yaml --height 1";
+    assert!(place.run(&format!("{usual} -o whole -q")).status.success());
+    for name in ["trajectory.csv.new", "trajectory.tum.part", "run.toml.new"] {
+        // In the place of this file is a pipe in which the program gets stuck.
+        fs::create_dir(place.path("out")).unwrap();
+        let pipe = fs::canonicalize(place.path("out")).unwrap().join(name);
+        let full = full_pipe(&pipe);
+        let mut command = place.command(&format!("{usual} -o out -q"));
+        let mut child = command.stdout(Stdio::null()).stderr(Stdio::null()).spawn().unwrap();
+        while !has_open(child.id(), &pipe) {
+            assert!(child.try_wait().unwrap().is_none(), "it ended before it was killed");
+            std::thread::sleep(Duration::from_millis(1));
+        }
+        child.kill().unwrap();
+        child.wait().unwrap();
+        drop(full);
+        fs::remove_file(&pipe).unwrap();
+        let done = place.run("--resume out -q");
+        assert!(done.status.success(), "{name}: {}", String::from_utf8_lossy(&done.stderr));
+        assert_whole(&place.path("out"));
+        assert!(place.result("out", "trajectory.csv") == place.result("whole", "trajectory.csv"), "{name}");
+        fs::remove_dir_all(place.path("out")).unwrap();
+    }
+}
+
+#[test]
+fn a_run_again_is_the_same_session_for_a_site() {
+    let place = HostileFolder::new();
+    fs::write(place.path("drive.y4m"), y4m(150)).unwrap();
+    let origins = |map: &str| {
+        let map = odograph_map::MapFile::open_read_only(&place.path(map)).unwrap();
+        let sessions = map.sessions().unwrap().into_iter();
+        sessions.map(|session| (session.origin.unwrap(), session.source)).collect::<Vec<_>>()
+    };
+    fs::create_dir(place.path("elsewhere")).unwrap();
+    for (arguments, map) in [("", "out/map.gpkg"), ("--map hall.gpkg", "hall.gpkg")] {
+        kill(&place, &format!("--robot cart --force {arguments}"));
+        let begun = origins(map);
+        let mut command = place.command("--resume ../out -q");
+        let done = command.current_dir(place.path("elsewhere")).output().unwrap();
+        assert!(done.status.success(), "{}", String::from_utf8_lossy(&done.stderr));
+        assert_eq!(origins(map), begun);
+    }
+    // Another run is another session.
+    assert!(place.run("drive.y4m --map hall.gpkg --robot cart -o other -q").status.success());
+    let [(first, _), (second, _)] = &origins("hall.gpkg")[..] else { panic!("two sessions") };
+    assert_ne!(first, second);
+}
+
+#[test]
+#[cfg(target_os = "linux")]
+fn one_interrupt_ends_the_wait_for_a_pipe() {
+    let place = HostileFolder::new();
+    assert!(Command::new("mkfifo").arg(place.path("pipe")).status().unwrap().success());
+    let usual = "--camera camera.yaml --height 1 -o out";
+    // Nobody writes; a writer that writes nothing; one that writes a part of the first frame.
+    for (written, arguments) in [(None, "pipe"), (Some(0), "pipe"), (Some(1000), "pipe"), (Some(0), "-")] {
+        let before = names(&place.path(""));
+        let mut command = place.command(&format!("{arguments} {usual}"));
+        let mut child =
+            command.stdin(Stdio::piped()).stdout(Stdio::piped()).stderr(Stdio::piped()).spawn().unwrap();
+        // It is open once the program has it open.
+        let mut writer = written.filter(|_| arguments == "pipe").map(|count| {
+            let mut pipe = fs::OpenOptions::new().write(true).open(place.path("pipe")).unwrap();
+            pipe.write_all(&y4m(1)[..count]).unwrap();
+            pipe
+        });
+        // Until its handler is in place and it waits for the pipe, which it has a folder for.
+        while !place.path("out/trajectory.csv.part").exists() {
+            assert!(child.try_wait().unwrap().is_none(), "it ended by itself");
+            std::thread::sleep(Duration::from_millis(5));
+        }
+        let sent = Command::new("kill").args(["-INT", &child.id().to_string()]).status().unwrap();
+        assert!(sent.success());
+        let stdin = child.stdin.take();
+        let done = child.wait_with_output().unwrap();
+        drop((stdin, writer.take()));
+        let message = "interrupted while waiting for frames; nothing was written";
+        assert_refused(&done, 130, message, arguments);
+        assert_eq!(names(&place.path("")), before);
+    }
 }
 
 #[test]

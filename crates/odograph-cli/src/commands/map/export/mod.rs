@@ -151,7 +151,7 @@ pub fn export(arguments: &ExportArguments) -> Result<Outcome> {
         Form::Colmap => colmap::write(&mut file, output, arguments.force)?,
     };
     if !arguments.quiet {
-        console::print(&format!("{summary}\nLook at {}\n", output.display()))?;
+        console::print(&format!("{summary}\nLook at {}\n", console::name(output)))?;
     }
     Ok(Outcome::Done)
 }
