@@ -10,7 +10,7 @@ pub const GATE: f64 = 16.3;
 
 /// Gate of a match that contradicts the graph: three times the standard deviations of [`GATE`].
 /// Patterns repeat beyond what the prior admits, and odometry over ground that is no plane, with a
-/// lens that is not known, states its error too small: over a field with trees most loops had 16.5 to
+/// lens that is not known, states its error too small: over a field with trees most loops had 17 to
 /// 157. A match between the two gates makes another one ambiguous, and needs one that confirms it.
 pub const CONTRADICTION_GATE: f64 = 9.0 * GATE;
 
