@@ -56,14 +56,19 @@ fn a_full_disk() {
     for name in FILES.into_iter().filter(|&name| name != "map.gpkg") {
         let out = place.path("out");
         fs::create_dir(&out).unwrap();
-        // The final trajectory is written to a temporary file beside the growing one, which must
-        // survive a disk that is full at the end.
+        // The final trajectory is written to a third file: the growing one beside it must survive
+        // a disk that is full at the end.
         let (beside, stay) = match name {
-            "trajectory.csv" => ("trajectory.csv.new.part".to_owned(), vec!["trajectory.csv.part"]),
+            "trajectory.csv" => ("trajectory.csv.new".to_owned(), vec!["trajectory.csv.part"]),
+            "run.toml" => ("run.toml.new".to_owned(), vec![]),
             _ => (format!("{name}.part"), vec![]),
         };
         std::os::unix::fs::symlink("/dev/full", out.join(beside)).unwrap();
-        assert_refused(&place.run_usual("drive.y4m"), 3, "No space left on device", name);
+        // What runs a recording again is given up where the disk is full, and the path is written
+        // once more; a drive on standard input has nothing to give up.
+        let mut run = place.command("- --camera camera.yaml --height 1.0 -o out");
+        let drive = fs::File::open(place.path("drive.y4m")).unwrap();
+        assert_refused(&run.stdin(drive).output().unwrap(), 3, "No space left on device", name);
         assert!(!out.join(name).exists(), "{name}");
         let left = names(&out);
         let halves: Vec<&String> = left.iter().filter(|left| left.ends_with(".part")).collect();
