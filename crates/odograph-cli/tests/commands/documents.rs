@@ -210,14 +210,20 @@ fn interrupted(mut child: Child) -> Option<i32> {
     child.wait().unwrap().code()
 }
 
-/// Removes what `-o` of a command names: documents show alternatives that write the same.
+/// Removes what `-o` of a command names, its picture and its report: documents show alternatives
+/// that write the same.
 fn remove_output(folder: &Path, command: &str) {
     let mut words = command.split(" #").next().unwrap_or_default().split_whitespace();
     while let Some(word) = words.next() {
         if word == "-o" || word == "--output" {
             let output = folder.join(words.next().unwrap());
-            let _ = fs::remove_file(&output);
-            let _ = fs::remove_dir_all(&output);
+            let stem = output.file_stem().unwrap().display();
+            let (picture, report) =
+                (output.with_extension("png"), output.with_file_name(format!("{stem}-report")));
+            for written in [&output, &picture, &report] {
+                let _ = fs::remove_file(written);
+                let _ = fs::remove_dir_all(written);
+            }
         }
     }
 }
