@@ -127,7 +127,7 @@ impl RecordStore {
     /// Stores records of a session, each with its bytes. All that are new are on disk when this
     /// returns; what is there already is skipped if it is the same. A keyframe in the place of the
     /// session's end takes it: the run was killed, and goes on now that it was begun again. With
-    /// an error none is stored.
+    /// an error nothing is stored.
     pub fn append(
         &mut self,
         session: i64,

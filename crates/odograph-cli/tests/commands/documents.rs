@@ -22,7 +22,7 @@ use std::process::{Child, Command, Output, Stdio};
 /// Commands that are not run: how they begin, or a word in them, and why.
 const NOT_RUN: [(&str, &str); 17] = [
     ("cargo ", "builds from source; the tests, the gate and the harness of kills are run by CI"),
-    ("bash .ci/run", "runs this test"),
+    ("bash .ci/run", "is CI itself"),
     ("pip ", "needs the index of Python's packages"),
     ("maturin ", "needs Python; CI builds the package"),
     ("python", "compares with other programs, which it needs"),
@@ -91,9 +91,9 @@ fn shown() -> Vec<ShownCommand> {
 }
 
 fn why_not_run(command: &str) -> Option<&'static str> {
-    let is_meant = |part: &str| match part.starts_with(['/', '-']) || part.contains(['.', ':', '*']) {
-        true => command.contains(part),
-        false => command.starts_with(part),
+    let is_meant = |part: &str| {
+        let is_within = part.starts_with(['/', '-']) || part.contains(['.', ':', '*']);
+        if is_within { command.contains(part) } else { command.starts_with(part) }
     };
     NOT_RUN.iter().find(|(part, _)| is_meant(part)).map(|(_, why)| *why)
 }

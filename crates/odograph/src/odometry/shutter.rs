@@ -121,7 +121,7 @@ impl ShutterState {
 
     /// Drops what frames showed under a wrong shape of the ground, unless the readout time is sure:
     /// uneven ground looks like a skew. With free elevations a skew along the motion cannot be
-    /// distinguished from a slope, so that none is fitted until it is seen.
+    /// distinguished from a slope, so it is not fitted before the readout time is known again.
     pub fn forget_evidence(&mut self) {
         if self.phase == ShutterDecision::Settled
             || (self.phase == ShutterDecision::Rolling && self.is_sure())

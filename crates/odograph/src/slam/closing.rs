@@ -69,16 +69,21 @@ impl Mapper {
             )
         };
         self.compare_scales(new, &recognised);
+        let mut contradictory = None;
         for place in recognised.iter().take(self.config.comparisons) {
             let Some(reference) = self.reference(place.id, images)? else { continue };
             let closure =
                 verification::verify_recognised(&self.matcher, &query, &reference, place, new, &self.config);
             let Some(closure) = closure else { continue };
-            let is_enough = place.stands_alone() || self.config.sightings < 2;
-            if is_enough && !place.contradicts(&closure.edge) {
-                return self.accept(closure, images);
+            if place.contradicts(&closure.edge) {
+                contradictory.get_or_insert(closure);
+                continue;
             }
-            return self.support(closure, images);
+            let is_enough = place.stands_alone() || self.config.sightings < 2;
+            return if is_enough { self.accept(closure, images) } else { self.support(closure, images) };
+        }
+        if let Some(closure) = contradictory {
+            self.support(closure, images)?;
         }
         // Registering whole images takes longest: only if the position is nearly known and
         // appearance found nothing.
