@@ -5,28 +5,22 @@
 //! (`/odometry`, and `odom` → `base_link` or `camera` in `/tf`), the correction (`map` → `odom`)
 //! and whether it was tracked (`/diagnostics`).
 
-mod cdr;
 mod definitions;
 
 use crate::files::cannot_be_written;
-use cdr::Cdr;
+use crate::ros_messages::{CAMERA, Diagnostic, MAP, ODOM, odometry, transforms};
 use definitions::{DIAGNOSTICS, Definition, ODOMETRY, TRANSFORMS};
 use mcap::records::MessageHeader;
 use mcap::write::NoSeek;
 use mcap::{WriteOptions, Writer};
-use nalgebra::{Isometry3, Matrix6};
+use nalgebra::Isometry3;
 use odograph::error::{Error, Result};
 use odograph::geometry::GroundPose;
-use odograph::geometry::pose_index::{HEADING, HEIGHT, PITCH, ROLL, X, Y};
 use odograph::pose_frame::{PoseFrame, PoseFrames};
-use odograph::trajectory::{FrameEstimate, PoseEstimate, TrackStatus, Velocity};
+use odograph::trajectory::FrameEstimate;
 use std::collections::BTreeMap;
 use std::io::{self, Write};
 use std::path::Path;
-
-const MAP: &str = "map";
-const ODOM: &str = "odom";
-const CAMERA: &str = "camera";
 
 /// Transforms that are published once must be kept for those who come later: the quality of service
 /// that `ros2 bag play` offers for them.
@@ -96,7 +90,7 @@ impl<'a, W: Write> RosBagWriter<'a, W> {
             self.put(self.odometry, time_ns, &odometry(time_ns, of.name(), &placed, known))?;
             self.put(self.transforms, time_ns, &transforms(time_ns, &moved))?;
         }
-        self.put(self.diagnostics, time_ns, &diagnostics(time_ns, camera))
+        self.put(self.diagnostics, time_ns, &Diagnostic::of(camera).message(time_ns))
     }
 
     fn put(&mut self, channel_id: u16, time_ns: u64, message: &[u8]) -> Result<()> {
@@ -118,89 +112,9 @@ fn unwritten(path: &Path, error: mcap::McapError) -> Error {
     }
 }
 
-/// `nav_msgs/msg/Odometry`
-fn odometry(time_ns: u64, child: &str, placed: &Isometry3<f64>, known: &PoseEstimate) -> Vec<u8> {
-    let mut message = Cdr::new();
-    message.header(time_ns, ODOM);
-    message.text(child);
-    message.pose(placed);
-    message.covariance(&about_fixed_axes(&known.pose, &known.covariance));
-    // In the axes of the child.
-    let Velocity { x_m_s, y_m_s, heading_rad_s } = known.velocity;
-    let in_child = |x: f64, y: f64, z: f64| placed.rotation.inverse() * nalgebra::Vector3::new(x, y, z);
-    message.doubles(in_child(x_m_s, y_m_s, 0.0).iter().copied());
-    message.doubles(in_child(0.0, 0.0, heading_rad_s).iter().copied());
-    // Not known, as the first element says.
-    let mut unknown = Matrix6::zeros();
-    unknown[(0, 0)] = -1.0;
-    message.covariance(&unknown);
-    message.finished()
-}
-
-/// The covariance of position and rotation about the fixed axes x, y, z, as
-/// `geometry_msgs/PoseWithCovariance` has it, from that of (x, y, heading, height, roll, pitch).
-fn about_fixed_axes(pose: &GroundPose, covariance: &Matrix6<f64>) -> Matrix6<f64> {
-    let axes = pose.rotation_axes();
-    let mut jacobian = Matrix6::zeros();
-    for (row, index) in [X, Y, HEIGHT].into_iter().enumerate() {
-        jacobian[(row, index)] = 1.0;
-    }
-    for (column, index) in [HEADING, ROLL, PITCH].into_iter().enumerate() {
-        (0..3).for_each(|row| jacobian[(3 + row, index)] = axes[(row, column)]);
-    }
-    odograph::geometry::propagated(&jacobian, covariance)
-}
-
-/// `tf2_msgs/msg/TFMessage`: parent, child, and the child's pose in the parent.
-fn transforms(time_ns: u64, all: &[(&str, &str, Isometry3<f64>)]) -> Vec<u8> {
-    let mut message = Cdr::new();
-    message.u32(all.len() as u32);
-    for (parent, child, pose) in all {
-        message.header(time_ns, parent);
-        message.text(child);
-        message.pose(pose);
-    }
-    message.finished()
-}
-
-/// `diagnostic_msgs/msg/DiagnosticArray` with one status: whether the frame was tracked.
-fn diagnostics(time_ns: u64, frame: &FrameEstimate) -> Vec<u8> {
-    let mut message = Cdr::new();
-    message.header(time_ns, "");
-    message.u32(1);
-    message.u8(u8::from(frame.status != TrackStatus::Tracked)); // OK or WARN
-    message.text("odograph: tracking");
-    message.text(&frame.status.to_string());
-    message.text(CAMERA);
-    let values = [
-        ("frame", frame.frame.to_string()),
-        ("tracks", frame.tracks.to_string()),
-        ("inliers", frame.inliers.to_string()),
-        ("residual_px", format!("{:.4}", frame.residual_px)),
-        ("segment", frame.segment.to_string()),
-    ];
-    message.u32(values.len() as u32);
-    for (key, value) in &values {
-        message.text(key);
-        message.text(value);
-    }
-    message.finished()
-}
-
 #[cfg(test)]
 mod tests {
     use super::*;
-
-    #[test]
-    fn a_covariance_of_a_level_pose_has_its_angles_about_the_fixed_axes() {
-        let pose = GroundPose { heading_rad: std::f64::consts::FRAC_PI_2, ..GroundPose::level(1.0) };
-        let variances = nalgebra::Vector6::new(1.0, 2.0, 3.0, 4.0, 5.0, 6.0);
-        let fixed = about_fixed_axes(&pose, &Matrix6::from_diagonal(&variances));
-        // x, y, z; the robot faces y: its roll turns about y, its pitch about −x.
-        for (index, expected) in [1.0, 2.0, 4.0, 6.0, 5.0, 3.0].into_iter().enumerate() {
-            assert!((fixed[(index, index)] - expected).abs() < 1e-12, "{index}: {fixed}");
-        }
-    }
 
     #[test]
     fn definitions_name_every_part() {
