@@ -99,7 +99,7 @@ fn base(name: &str) -> &str {
 
 /// Whether the images of a topic are rectified, as image_proc names them: `image_rect`,
 /// `image_rect_color`.
-fn is_rectified(name: &str) -> bool {
+pub(super) fn is_rectified(name: &str) -> bool {
     base(name)
         .rsplit('/')
         .next()
@@ -107,7 +107,7 @@ fn is_rectified(name: &str) -> bool {
 }
 
 /// Names of the camera_info topics that belong to an image topic, the most likely first.
-fn names_beside(name: &str) -> [String; 3] {
+pub(super) fn names_beside(name: &str) -> [String; 3] {
     let base = base(name);
     let (namespace, _) = base.rsplit_once('/').unwrap_or(("", base));
     [format!("{namespace}/camera_info"), format!("{base}/camera_info"), format!("{base}_info")]

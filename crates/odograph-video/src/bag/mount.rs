@@ -82,7 +82,7 @@ fn mount_of(recording: &mut dyn MessageReader, images: &Topic) -> Result<Option<
 
 /// Frames and their poses in their parents.
 #[derive(Debug, Default)]
-struct Tree(BTreeMap<String, (String, Isometry3<f64>)>);
+pub(super) struct Tree(BTreeMap<String, (String, Isometry3<f64>)>);
 
 /// Most frames of a robot; more are not kept.
 const MAX_FRAMES: usize = 10_000;
@@ -100,7 +100,7 @@ fn is_called(frame: &str, name: &str) -> bool {
 }
 
 impl Tree {
-    fn insert(&mut self, child: &str, parent: &str, parent_from_child: Isometry3<f64>) {
+    pub fn insert(&mut self, child: &str, parent: &str, parent_from_child: Isometry3<f64>) {
         if self.0.len() < MAX_FRAMES || self.0.contains_key(bare(child)) {
             self.0.insert(bare(child).to_owned(), (bare(parent).to_owned(), parent_from_child));
         }
@@ -121,7 +121,7 @@ impl Tree {
 
     /// Pose of a camera in `base_link`, and its height over `base_footprint`, which is the parent
     /// or a child of `base_link`.
-    fn base_from_camera(&self, camera: &str) -> Option<(Isometry3<f64>, Option<f64>)> {
+    pub fn base_from_camera(&self, camera: &str) -> Option<(Isometry3<f64>, Option<f64>)> {
         let above = self.ancestors(camera);
         let (base, base_from_camera) = above.iter().find(|(name, _)| is_called(name, "base_link"))?;
         let is_footprint = |name: &str| is_called(name, "base_footprint");
