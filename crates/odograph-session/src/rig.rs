@@ -5,6 +5,7 @@ use crate::observer::Observer;
 use odograph::camera::{LeverArm, Rig};
 use odograph::error::{Error, Result};
 use odograph::formats::{camera_file, rig_file};
+use odograph_video::RecordedMount;
 use std::path::Path;
 
 /// Cameras on vehicles are lower: above this a height without a unit is probably in another unit
@@ -65,16 +66,28 @@ pub(crate) fn recorded_rig(
     let Some(mount) = odograph_video::recorded_mount(source, topic)? else {
         return Ok(None);
     };
-    let Some(used_m) = height_m.or(mount.height_m) else { return Ok(None) };
+    Ok(rig_of_mount(&mount, source, height_m, observer))
+}
+
+/// The rig of a camera whose mount is known from static transforms `of` a recording or robot, at
+/// the given height or that over `base_footprint`; `None` without a height, or if the camera does
+/// not look at the ground. The observer hears what was taken, or why nothing was.
+pub fn rig_of_mount(
+    mount: &RecordedMount,
+    of: &str,
+    height_m: Option<f64>,
+    observer: &dyn Observer,
+) -> Option<Rig> {
+    let used_m = height_m.or(mount.height_m)?;
     let frame = &mount.camera_frame;
     let rig = match mount.rig(used_m) {
         Ok(rig) => rig,
         Err(error) => {
             observer.warn(&format!(
-                "the transforms of {source} are not used: {error}; the frame {frame} of the images should be the optical \
+                "the transforms of {of} are not used: {error}; the frame {frame} of the images should be the optical \
                  frame of the camera"
             ));
-            return Ok(None);
+            return None;
         }
     };
     let from = if height_m.is_some() { "" } else { " over base_footprint" };
@@ -88,7 +101,7 @@ pub(crate) fn recorded_rig(
         tenths_deg(rig.pitch_rad),
         tenths_deg(rig.yaw_rad),
     ));
-    Ok(Some(rig))
+    Some(rig)
 }
 
 /// An angle in degrees, rounded to tenths; no negative zero.

@@ -18,6 +18,7 @@ pub use raw_frames::{RawFormat, RawFrames};
 pub use recording::Recording;
 
 use odograph::error::Result;
+use odograph::filter::fusion::Sensors;
 use odograph_video::{Frame, SourceInfo};
 use std::sync::atomic::{AtomicBool, AtomicU64, Ordering};
 use std::sync::{Arc, Mutex, PoisonError};
@@ -60,6 +61,16 @@ pub trait LiveSource: Send {
     fn take_warnings(&mut self) -> Vec<String> {
         Vec::new()
     }
+
+    /// The records of other sensors that came with the frames, at the end.
+    fn take_sensors(&mut self) -> Sensors {
+        Sensors::default()
+    }
+
+    /// Number of frames so far that were left out because newer ones came.
+    fn dropped(&self) -> u64 {
+        0
+    }
 }
 
 /// State shared by a source and its consumers: stop request and connection status.
@@ -94,11 +105,13 @@ impl Watch {
         self.0.reconnects.load(Ordering::Relaxed)
     }
 
-    fn lost(&self, why: &str) {
+    /// No frames arrive at the moment, for a reason.
+    pub fn lost(&self, why: &str) {
         *self.0.waiting.lock().unwrap_or_else(PoisonError::into_inner) = Some(why.to_owned());
     }
 
-    fn back(&self) {
+    /// Frames arrive again.
+    pub fn back(&self) {
         if self.0.waiting.lock().unwrap_or_else(PoisonError::into_inner).take().is_some() {
             self.0.reconnects.fetch_add(1, Ordering::Relaxed);
         }

@@ -1,6 +1,7 @@
 //! The capture thread.
 
 use odograph::error::Error;
+use odograph::filter::fusion::Sensors;
 use odograph_live::capture::{Captured, LiveSource, Newest};
 use std::sync::{Arc, mpsc};
 use std::thread;
@@ -22,6 +23,10 @@ pub struct Farewell {
     pub warnings: Vec<String>,
     /// The error that ended it early.
     pub failure: Option<Error>,
+    /// Records of the other sensors that the source has.
+    pub sensors: Sensors,
+    /// Frames that the source had no time for.
+    pub dropped: u64,
 }
 
 /// Captures frames on a thread, which ends with the queue or the source. It is not joined: reading
@@ -45,7 +50,12 @@ pub fn capture(
             }
         };
         // The receiver may be gone.
-        let _ = ended.send(Farewell { warnings: source.take_warnings(), failure });
+        let _ = ended.send(Farewell {
+            warnings: source.take_warnings(),
+            failure,
+            sensors: source.take_sensors(),
+            dropped: source.dropped(),
+        });
         queue.close();
     });
     farewell

@@ -7,7 +7,7 @@ use super::ground::{LiveGround, MosaicUpdate};
 use super::map_graph::map_graph;
 use crate::mapping::Mapping;
 use odograph::geometry::Sim2;
-use odograph::ground_map::GroundMap;
+use odograph::ground_map::{GroundMap, MapKeyframe};
 use odograph::keyframe::EdgeKind;
 use odograph_live::Hub;
 use odograph_live::capture::{Newest, Taken};
@@ -66,6 +66,14 @@ impl<'a> MapFrameUpdates<'a> {
     }
 }
 
+/// The correction from the odometry frame to the map frame at the newest keyframe; `None` as long
+/// as the two are the same.
+pub fn newest_correction(mapping: &Mapping) -> Option<Sim2> {
+    let mapper = mapping.mapper();
+    let own = mapper.map().keyframes.iter().rfind(|keyframe| keyframe.session == mapper.session());
+    own.filter(|_| mapper.is_corrected()).map(MapKeyframe::map_from_odometry)
+}
+
 /// Keyframes and loop closures, and the correction from the odometry frame to the map frame at each
 /// keyframe of a session.
 fn map_message(map: &GroundMap, session: u32) -> Value {
@@ -100,7 +108,6 @@ pub fn render_again(queue: &Newest<MosaicUpdate>, ground: &LiveGround) {
 mod tests {
     use super::*;
     use odograph::geometry::{GroundPose, PlaneTransform};
-    use odograph::ground_map::MapKeyframe;
     use odograph::keyframe::KeyframeId;
 
     #[test]

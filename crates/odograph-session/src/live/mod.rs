@@ -7,15 +7,14 @@
 //!
 //! ```no_run
 //! use odograph::error::Result;
-//! use odograph::trajectory::FrameEstimate;
 //! use odograph_session::RunBuilder;
-//! use odograph_session::live::{LiveOptions, PoseSink};
+//! use odograph_session::live::{LiveFrame, LiveOptions, PoseSink};
 //!
 //! struct Robot;
 //!
 //! impl PoseSink for Robot {
-//!     fn take(&mut self, frame: &FrameEstimate, _latency_ms: f64) -> Result<()> {
-//!         if let Some(known) = &frame.estimate {
+//!     fn take(&mut self, frame: &LiveFrame<'_>) -> Result<()> {
+//!         if let Some(known) = &frame.estimate.estimate {
 //!             println!("{:.3} {:.3}", known.pose.x_m, known.pose.y_m);
 //!         }
 //!         Ok(())
@@ -42,7 +41,7 @@ mod map_frame;
 pub use capturing::{FAREWELL, FRAMES_WAITING, Farewell, PATIENCE, STATUS_EVERY, capture};
 pub use map_graph::map_graph;
 pub use recorder::folder_name_now;
-pub use sinks::PoseSink;
+pub use sinks::{LiveFrame, PoseSink};
 pub use source::{CaptureOptions, LiveInput, open_live_input};
 
 use crate::builder::CameraChoice;
@@ -54,7 +53,7 @@ use crate::mapping::Mapping;
 use crate::observer::Observer;
 use crate::outcome::RunOutcome;
 use crate::output::RunOutput;
-use crate::plan::RunPlan;
+use crate::plan::{RunPlan, SourcePlan};
 use crate::report::RunReporter;
 use ground::LiveGround;
 use mcap::McapLog;
@@ -93,13 +92,30 @@ impl RunBuilder {
     /// As [`RunBuilder::open`]; besides, if the MCAP file is there already and may not be
     /// overwritten.
     pub fn open_live(&self, options: &LiveOptions, observer: &dyn Observer) -> Result<LiveRun> {
+        // A calibration holds for one size only: that is the one to ask a camera for.
+        let calibrated = || calibrated_size(self);
+        self.open_live_over(options, observer, |plan, watch| {
+            open_live_input(plan, &options.capture, calibrated, watch)
+        })
+    }
+
+    /// As [`RunBuilder::open_live`], over a source of the caller, which the name in the plan only
+    /// describes. It ends when the watch says so.
+    ///
+    /// # Errors
+    /// As [`RunBuilder::open_live`], or what `open` fails with.
+    pub fn open_live_over(
+        &self,
+        options: &LiveOptions,
+        observer: &dyn Observer,
+        open: impl FnOnce(&SourcePlan, &Watch) -> Result<LiveInput>,
+    ) -> Result<LiveRun> {
         options.mcap.as_deref().map_or(Ok(()), |path| McapLog::check(path, self.output.force))?;
         let (path, temporary) = self.output.place()?;
         let folder = OutputFolder::new(&path, &self.output)?;
         let watch = Watch::default();
         let (mut plan, input) = self.plan_over(observer, |plan| {
-            // A calibration holds for one size only: that is the one to ask a camera for.
-            let input = open_live_input(plan, &options.capture, || calibrated_size(self), &watch)?;
+            let input = open(plan, &watch)?;
             let size = (input.source.info().width, input.source.info().height);
             Ok((input, size))
         })?;

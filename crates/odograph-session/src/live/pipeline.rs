@@ -1,14 +1,14 @@
 //! The live pipeline capture | track | map and show, on threads. Only tracking is waited for; other
 //! stages get what they can handle.
 
-use super::capturing::{FAREWELL, FRAMES_WAITING, PATIENCE, STATUS_EVERY, capture};
+use super::capturing::{FAREWELL, FRAMES_WAITING, Farewell, PATIENCE, STATUS_EVERY, capture};
 use super::ground::{LiveGround, MosaicUpdate};
 use super::latency::Latencies;
 use super::map_frame::{self, MapFrameUpdates};
 use super::mcap::McapLog;
 use super::mosaic_rendering;
 use super::recorder::Recorder;
-use super::sinks::{LiveSinks, PoseSink};
+use super::sinks::{LiveFrame, LiveSinks, PoseSink};
 use super::source::LiveInput;
 use crate::finish::{Ending, finish};
 use crate::found::{FixedInImage, FoundLens, FoundMount, FoundReadout};
@@ -22,6 +22,7 @@ use crate::statistics::LiveStatistics;
 use crate::views::Posed;
 use odograph::camera::Rig;
 use odograph::error::{Error, Result};
+use odograph::geometry::{PlaneTransform, Sim2};
 use odograph::image::GrayImage;
 use odograph::mounting::OnlineCalibration;
 use odograph::odometry::{KeyframeEvent, Odometry, TrackView};
@@ -31,7 +32,7 @@ use odograph_live::capture::{Captured, Newest, Policy, Taken, Watch};
 use odograph_live::foxglove::TrackedImage;
 use odograph_live::{Hub, Phase, Status, TrackRecord, View};
 use odograph_video::Frame;
-use std::sync::Arc;
+use std::sync::{Arc, Mutex, PoisonError};
 use std::thread;
 use std::time::{Duration, Instant};
 
@@ -91,14 +92,14 @@ pub fn follow(
     ending.observer.tracking_ends();
     watch.end();
     following.queue.close();
-    let farewell = ended.recv_timeout(FAREWELL).unwrap_or_default();
+    let Farewell { warnings, failure, sensors, dropped } = ended.recv_timeout(FAREWELL).unwrap_or_default();
     following.send_status(Phase::Saving);
     let Some(mosaic_rendering::MosaicRenderingSummary { views, failure: not_kept, times }) = ground.finish()
     else {
         return Err(Error::usage("a live run ends once"));
     };
     following.times.map = times;
-    let live = following.statistics();
+    let live = following.statistics(dropped);
     let found = following.calibration.as_ref().and_then(OnlineCalibration::found);
     let tracked = Tracked {
         readout: FoundReadout::of(&plan.camera, &following.odometry),
@@ -110,18 +111,18 @@ pub fn follow(
         recalibrated: following.recalibrated,
         views,
         mapping,
-        warnings: farewell.warnings.into_iter().chain(log.into_iter().flat_map(McapLog::warnings)).collect(),
+        warnings: warnings.into_iter().chain(log.into_iter().flat_map(McapLog::warnings)).collect(),
         times: following.times,
         interrupted: ending.observer.is_stop_asked() || hub.stop_asked(),
         announced: None,
         live: Some(live),
-        failure: outcome.err().or(farewell.failure).or(not_kept),
+        failure: outcome.err().or(failure).or(not_kept),
         unmapped: following.unmapped,
         mount: FoundMount::of(&plan.rig, found),
         lens: FoundLens::of(&plan.camera, found),
     };
     let mut folder = following.recorder.into_folder();
-    finish(plan, tracked, &mut folder, ending)
+    finish(plan, tracked, &mut folder, &Ending { sensors: &sensors, ..*ending })
 }
 
 /// Closes the queues of the other threads however tracking ends, so that they end too.
@@ -149,6 +150,18 @@ struct Beside {
     mapping: Newest<Happened>,
     views: Newest<PageImage>,
     updates: Newest<MosaicUpdate>,
+    /// That of the newest keyframe in the map.
+    correction: Mutex<Sim2>,
+}
+
+impl Beside {
+    fn map_from_odometry(&self) -> Sim2 {
+        *self.correction.lock().unwrap_or_else(PoisonError::into_inner)
+    }
+
+    fn correct(&self, correction: Sim2) {
+        *self.correction.lock().unwrap_or_else(PoisonError::into_inner) = correction;
+    }
 }
 
 /// An image for the page.
@@ -194,6 +207,7 @@ impl Following<'_, '_> {
             mapping: Newest::new(Policy::Wait, MAPPING_QUEUE),
             views: Newest::new(Policy::NewestWins, 1),
             updates: Newest::new(Policy::NewestWins, 1),
+            correction: Mutex::new(Sim2::IDENTITY),
         };
         let (beside, hub, log, policy) = (&beside, self.hub, self.log, self.policy);
         let outcome = thread::scope(|scope| {
@@ -224,6 +238,9 @@ impl Following<'_, '_> {
                     // A map that cannot be written (full disk) ends; tracking continues.
                     if failure.is_none() {
                         failure = mapping.take(happened.events, happened.frame.as_ref()).err();
+                        if let Some(correction) = map_frame::newest_correction(mapping) {
+                            beside.correct(correction);
+                        }
                         if ground.is_shown() {
                             updates.publish_if_closed(mapping);
                         }
@@ -283,7 +300,9 @@ impl Following<'_, '_> {
         self.times.track.push(begun.elapsed());
         let seen = self.of.frame(&estimate);
         if let Some(poses) = &mut self.poses {
-            poses.take(&seen, latency_ms)?;
+            let of = self.of.at(frame.number);
+            let map_from_odometry = beside.map_from_odometry();
+            poses.take(&LiveFrame { estimate: &seen, of, latency_ms, map_from_odometry })?;
         }
         self.observer.frame(&seen);
         self.recorder.record(&seen);
@@ -353,8 +372,10 @@ impl Following<'_, '_> {
         });
     }
 
-    fn statistics(&self) -> LiveStatistics {
-        let (frames_captured, frames_dropped) = self.queue.counts();
+    /// `dropped` frames were dropped before they were captured.
+    fn statistics(&self, dropped: u64) -> LiveStatistics {
+        let (taken, displaced) = self.queue.counts();
+        let (frames_captured, frames_dropped) = (taken + dropped, displaced + dropped);
         let [latency_median_ms, latency_p99_ms, latency_most_ms] = self.latencies.overall();
         LiveStatistics {
             frames_captured,

@@ -4,15 +4,16 @@ use super::{LiveArguments, Print};
 use crate::commands::site::RobotLink;
 use crate::console;
 use odograph::error::{Error, Result};
-use odograph::trajectory::FrameEstimate;
 use odograph_live::stream::{Datagrams, json_line};
-use odograph_session::live::PoseSink;
+use odograph_session::live::{LiveFrame, PoseSink};
 
 /// Outputs of poses besides folder and page.
 pub struct Outputs {
     print: bool,
     datagrams: Option<Datagrams>,
     site: Option<RobotLink>,
+    /// Another receiver of poses: ROS 2.
+    published: Option<Box<dyn PoseSink>>,
 }
 
 impl Outputs {
@@ -25,6 +26,7 @@ impl Outputs {
             print: arguments.print == Some(Print::Poses),
             datagrams: datagrams.transpose()?,
             site: None,
+            published: None,
         })
     }
 
@@ -34,15 +36,26 @@ impl Outputs {
     }
 }
 
+#[cfg(feature = "ros2")]
+impl Outputs {
+    /// Gives the poses to a publisher as well.
+    pub fn publish_with(&mut self, publisher: impl PoseSink + 'static) {
+        self.published = Some(Box::new(publisher));
+    }
+}
+
 impl PoseSink for Outputs {
-    fn take(&mut self, frame: &FrameEstimate, latency_ms: f64) -> Result<()> {
+    fn take(&mut self, frame: &LiveFrame<'_>) -> Result<()> {
         if let Some(site) = &self.site {
-            site.set_lost(frame.estimate.is_none());
+            site.set_lost(frame.estimate.estimate.is_none());
+        }
+        if let Some(published) = &mut self.published {
+            published.take(frame)?;
         }
         if !self.print && self.datagrams.is_none() {
             return Ok(());
         }
-        let line = json_line(frame, Some(latency_ms)) + "\n";
+        let line = json_line(frame.estimate, Some(frame.latency_ms)) + "\n";
         if let Some(datagrams) = &self.datagrams {
             datagrams.send(&line);
         }
