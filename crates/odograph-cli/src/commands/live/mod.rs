@@ -3,6 +3,7 @@
 
 mod capture_arguments;
 mod outputs;
+mod ros2;
 mod serving;
 
 use super::run::{ConsoleObserver, LogArguments, MountedCameraArguments, print_summary};
@@ -15,6 +16,7 @@ use odograph_report::HtmlReporter;
 use odograph_session::live::{LiveOptions, folder_name_now};
 use odograph_session::{RunBuilder, SourcePlan};
 use outputs::Outputs;
+use ros2::{Ros2Arguments, Ros2Run};
 pub use serving::{Offer, ServeArguments, Serving};
 use std::path::PathBuf;
 use std::sync::Arc;
@@ -36,6 +38,8 @@ pub struct LiveArguments {
     pub mounted: MountedCameraArguments,
     #[command(flatten)]
     pub capture: CaptureArguments,
+    #[command(flatten)]
+    pub ros2: Ros2Arguments,
     #[command(flatten)]
     pub serve: ServeArguments,
     /// Print a line of JSON for each frame to standard output.
@@ -104,7 +108,10 @@ pub fn live(arguments: LiveArguments) -> Result<Outcome> {
         shown: arguments.serve.serve.is_some(),
         mcap: arguments.mcap.clone(),
     };
-    let run = arguments.builder().open_live(&options, &observer)?;
+    let run = match Ros2Run::of(&arguments)? {
+        Some(ros2) => ros2.open(arguments.builder(), &options, &observer, &mut outputs)?,
+        None => arguments.builder().open_live(&options, &observer)?,
+    };
     let link = arguments.site.start(&run.folder().join("map.gpkg"), run.folder(), arguments.quiet)?;
     outputs.tell_losses_to(link.clone());
     let serving = Serving::start(&arguments.serve, Arc::clone(run.hub()), Offer::of_run(run.folder()))?;
