@@ -39,6 +39,8 @@ const MISSING_AFTER: Duration = Duration::from_secs(2);
 const STEP: Duration = Duration::from_millis(50);
 /// Time after which a person is told what is waited for.
 const TOLD_AFTER: Duration = Duration::from_secs(2);
+/// Most images at the beginning that may be damaged.
+const DAMAGED: u32 = 3;
 /// A jump back in time by more than this is another beginning, not a message that was overtaken.
 const OVERTAKEN_S: f64 = 1.0;
 
@@ -135,13 +137,21 @@ impl Images {
         let name = &self.options.topic;
         let patience = self.options.patience.saturating_sub(self.began.elapsed());
         let what = format!("images on {name}");
+        let mut damaged = 0;
         let found = self.wait(patience, observer, &what, || {
             if let Some(failure) = self.listening.heard().failure.take() {
                 return Err(failure);
             }
             let Taken::Item(arrived) = self.listening.images().take(Duration::ZERO) else { return Ok(None) };
             let Some(topic) = self.listening.heard().images.clone() else { return Ok(None) };
-            let picture = topic.picture(&arrived.message).map_err(|error| error.at(name))?;
+            let picture = match topic.picture(&arrived.message) {
+                Ok(picture) => picture,
+                Err(_) if damaged < DAMAGED => {
+                    damaged += 1;
+                    return Ok(None);
+                }
+                Err(error) => return Err(error.at(name)),
+            };
             let frame = topic.frame_id(&arrived.message);
             Ok(Some(FirstImage { topic, arrived, picture, frame }))
         })?;
@@ -388,10 +398,10 @@ impl LiveSource for ImageSource {
             let damaged = std::mem::take(&mut self.damaged);
             warnings.push(format!("{damaged} images were left out because they cannot be decoded ({why})"));
         }
-        match std::mem::take(&mut self.overtaken) {
-            0 => {}
-            count => warnings
-                .push(format!("{count} images were left out: their times are not after those before them")),
+        if self.overtaken > 0 {
+            let overtaken = std::mem::take(&mut self.overtaken);
+            warnings
+                .push(format!("images left out because their times are not after those before: {overtaken}"));
         }
         warnings.extend(self.listening.heard().records.iter().filter_map(|(_, record)| record.defect()));
         warnings

@@ -44,6 +44,11 @@ impl Link {
         &self.frame
     }
 
+    /// Whether the run has asked the images to end.
+    pub(crate) fn has_ended(&self) -> bool {
+        self.watch.ended()
+    }
+
     /// Why no images come at the moment.
     pub(crate) fn waiting(&self) -> Option<String> {
         self.watch.waiting()

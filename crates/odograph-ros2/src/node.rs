@@ -45,6 +45,10 @@ impl Delivery {
 /// Name of the node.
 const NAME: &str = "odograph";
 
+/// Descriptions of the node that are kept for those who come later: one for each endpoint, since a
+/// new one is refused while as many are not delivered.
+const GRAPHS_KEPT: i32 = 20;
+
 /// Largest domain that the port numbers of DDS have room for.
 const LARGEST_DOMAIN: u16 = 232;
 
@@ -111,7 +115,8 @@ impl Node {
         let subscriber = participant.create_subscriber(&qos).map_err(unavailable)?;
         let publisher = participant.create_publisher(&qos).map_err(unavailable)?;
         let (name, type_name) = ("ros_discovery_info", "rmw_dds_common/msg/ParticipantEntitiesInfo");
-        let writer = writer(&participant, &publisher, name.to_owned(), type_name, Delivery::Latched, 1)?;
+        let writer =
+            writer(&participant, &publisher, name.to_owned(), type_name, Delivery::Latched, GRAPHS_KEPT)?;
         let graph = Mutex::new(Graph { writer, readers: Vec::new(), writers: Vec::new() });
         let node = Self(Arc::new(NodeState { domain, participant, subscriber, publisher, graph }));
         node.announce(|_| ());

@@ -54,10 +54,18 @@ impl Default for PublisherOptions {
     }
 }
 
-/// Messages that a reliable topic keeps for repetition.
-const KEPT: i32 = 20;
+/// Messages that a reliable topic keeps until all who listen have them. A listener that was killed
+/// counts until its lease ends, mostly after 10 s, and no more than these are sent to the others:
+/// enough for 200 Hz.
+const KEPT: i32 = 2000;
 /// Interval of the path, and of diagnostics that do not change.
 const SECOND: Duration = Duration::from_secs(1);
+/// Age of the newest frame from which the state is stale.
+const STALE_AFTER: Duration = Duration::from_secs(2);
+/// What there is to say after the last frame.
+const ENDED: &str = "the run has ended";
+/// Longest wait until the last messages are delivered.
+const LAST: Duration = Duration::from_millis(300);
 /// Interval at which the watch for missing images wakes.
 const STEP: Duration = Duration::from_millis(100);
 
@@ -75,6 +83,8 @@ pub struct RunPublisher {
     health: Option<Health>,
     /// That of the camera on the robot, as it was published last.
     placed: Option<Isometry3<f64>>,
+    /// Last, so that what is sent at the end is sent.
+    _node: Node,
 }
 
 /// A topic that is written to.
@@ -94,6 +104,11 @@ impl Topic {
     /// Sends a message. One that cannot be sent at once is lost: newer ones follow.
     fn send(&self, message: Vec<u8>) {
         let _ = self.0.write(Payload(message), None);
+    }
+
+    /// Waits until those who listen have what was sent.
+    fn wait(&self) {
+        let _ = self.0.wait_for_acknowledgments(LAST);
     }
 }
 
@@ -133,6 +148,7 @@ impl RunPublisher {
             health: has(Part::Diagnostics).then(|| Health::new(node, link.clone())).transpose()?,
             link,
             placed: None,
+            _node: node.clone(),
         })
     }
 
@@ -196,7 +212,9 @@ impl Drop for RunPublisher {
         if let Some((topic, path, _)) = &self.path
             && let Some((time_ns, _)) = path.poses().last()
         {
+            topic.wait();
             topic.send(ros_messages::path(*time_ns, path.poses()));
+            topic.wait();
         }
     }
 }
@@ -218,9 +236,11 @@ struct SharedHealth {
 
 #[derive(Debug, Default)]
 struct HealthState {
-    newest: Option<(u64, Diagnostic)>,
+    /// That of the newest frame, with its stamp and when it came.
+    newest: Option<(u64, Diagnostic, Instant)>,
     status: Option<TrackStatus>,
-    is_missing: bool,
+    /// Why there are no frames, as it was said last.
+    stale: Option<&'static str>,
     sent: Option<Instant>,
 }
 
@@ -245,7 +265,7 @@ impl Health {
         let mut diagnostic = Diagnostic::of(frame.estimate);
         diagnostic.values.push(("latency_ms", format!("{:.1}", frame.latency_ms)));
         let changed = state.status.replace(frame.estimate.status) != Some(frame.estimate.status);
-        state.newest = Some((time_ns, diagnostic));
+        state.newest = Some((time_ns, diagnostic, Instant::now()));
         if changed {
             self.shared.send(&mut state);
         }
@@ -257,26 +277,36 @@ impl SharedHealth {
         self.state.lock().unwrap_or_else(PoisonError::into_inner)
     }
 
-    /// Sends the newest state; while no images come, that they do not.
+    /// Why there are no frames, in a word.
+    fn stale(&self, state: &HealthState) -> Option<&'static str> {
+        let is_old = |newest: &(u64, Diagnostic, Instant)| newest.2.elapsed() >= STALE_AFTER;
+        match &self.link {
+            Some(link) if link.has_ended() => Some(ENDED),
+            Some(link) if link.waiting().is_some() => Some("no images"),
+            _ if self.ended.load(Ordering::Relaxed) => Some(ENDED),
+            _ => state.newest.as_ref().filter(|newest| is_old(newest)).map(|_| "no frames"),
+        }
+    }
+
+    /// Sends the newest state.
     fn send(&self, state: &mut HealthState) {
         state.sent = Some(Instant::now());
-        match self.link.as_ref().and_then(Link::waiting) {
-            Some(message) => {
-                let stale = Diagnostic { severity: Severity::Stale, message, values: Vec::new() };
-                self.topic.send(stale.message(now_ns()));
-            }
-            None => {
-                if let Some((time_ns, diagnostic)) = &state.newest {
-                    self.topic.send(diagnostic.message(*time_ns));
-                }
-            }
+        if let Some(stale) = state.stale {
+            let message = match self.link.as_ref().and_then(Link::waiting) {
+                Some(why) if stale != ENDED => why,
+                _ => stale.to_owned(),
+            };
+            let stale = Diagnostic { severity: Severity::Stale, message, values: Vec::new() };
+            self.topic.send(stale.message(now_ns()));
+        } else if let Some((time_ns, diagnostic, _)) = &state.newest {
+            self.topic.send(diagnostic.message(*time_ns));
         }
     }
 
     fn look(&self) {
-        let is_missing = self.link.as_ref().is_some_and(|link| link.waiting().is_some());
         let mut state = self.state();
-        let changed = std::mem::replace(&mut state.is_missing, is_missing) != is_missing;
+        let stale = self.stale(&state);
+        let changed = std::mem::replace(&mut state.stale, stale) != stale;
         if changed || state.sent.is_some_and(|sent| sent.elapsed() >= SECOND) {
             self.send(&mut state);
         }
@@ -289,11 +319,7 @@ impl Drop for Health {
         if let Some(thread) = self.thread.take() {
             let _ = thread.join();
         }
-        let mut state = self.shared.state();
-        if let Some((time_ns, diagnostic)) = &mut state.newest {
-            diagnostic.severity = Severity::Stale;
-            diagnostic.message = "the run has ended".to_owned();
-            self.shared.topic.send(diagnostic.message(*time_ns));
-        }
+        self.shared.look();
+        self.shared.topic.wait();
     }
 }

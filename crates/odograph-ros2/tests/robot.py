@@ -39,10 +39,11 @@ def stamp_ns(message):
 
 
 class Robot:
-    """Publishes and collects on the domain of the environment."""
+    """Publishes and collects on a domain, which is that of programs from now on."""
 
-    def __init__(self):
-        self.participant = DomainParticipant(int(os.environ.get("ROS_DOMAIN_ID", "0")))
+    def __init__(self, domain):
+        os.environ["ROS_DOMAIN_ID"] = str(domain)
+        self.participant = DomainParticipant(domain)
         self.writers = {}
         self.collected = {}
         self.ended = threading.Event()
@@ -69,8 +70,11 @@ class Robot:
         return taken
 
     def close(self):
+        """Vanishes from the domain."""
         self.ended.set()
         time.sleep(0.2)
+        self.writers.clear()
+        self.participant = None
 
 
 class Program:

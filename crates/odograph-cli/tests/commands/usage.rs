@@ -206,3 +206,23 @@ fn a_name_that_is_no_text_is_named() {
     assert_eq!(output.status.code(), Some(2), "{said}");
     assert!(said.contains("the name dr\u{fffd}ve.mp4 is not UTF-8 text; rename the file"), "{said}");
 }
+
+/// Without the feature `ros2`, everything of ROS 2 is refused with how to have it.
+#[cfg(not(feature = "ros2"))]
+#[test]
+fn ros_2_is_another_build_of_the_program() {
+    let temporary = tempfile::tempdir().unwrap();
+    for (source, option) in
+        [("ros2:/camera/image_raw", ""), ("/dev/video0", "--ros2"), ("/dev/video0", "--gyro-topic=/imu")]
+    {
+        let arguments = ["live", source, "--height", "1", option];
+        let arguments: Vec<&str> = arguments.into_iter().filter(|argument| !argument.is_empty()).collect();
+        let refused = odograph(temporary.path(), &arguments);
+        let asked = if option.is_empty() { source } else { option.split('=').next().unwrap() };
+        let sentence = format!(
+            "error: {asked}: this program is built without ROS 2; `cargo install --path crates/odograph-cli --features \
+             ros2` builds it with ROS 2\n"
+        );
+        assert_eq!((refused.status.code(), message(&refused)), (Some(2), sentence));
+    }
+}
