@@ -3,9 +3,9 @@
 //! A door to ROS 2 without a ROS installation: images and other sensors from its topics into a live
 //! run, and odometry, transforms, path and diagnostics of the run to its topics.
 //!
-//! ROS 2 talks DDS; this crate does so with RustDDS, under the names, types and qualities of service
-//! that ROS 2 gives to topics. Messages are read by `odograph-video`, as those of a recording are,
-//! and made by `odograph-session`, as those of a bag are: here they are bytes.
+//! ROS 2 talks DDS; this crate does so with RustDDS, under the names, types and qualities of
+//! service that ROS 2 gives to topics. Messages are read by `odograph-video`, as those of a
+//! recording are, and made by `odograph-session`, as those of a bag are: here they are bytes.
 //!
 //! ```no_run
 //! use odograph_ros2::{ImageOptions, Images, Node, PublisherOptions, RunPublisher, TopicName};

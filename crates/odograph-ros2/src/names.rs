@@ -1,7 +1,8 @@
 //! Names of topics and types, in ROS 2 and in DDS.
 //!
 //! `/camera/image_raw` is the DDS topic `rt/camera/image_raw`, `sensor_msgs/msg/Image` the DDS type
-//! `sensor_msgs::msg::dds_::Image_` (<https://design.ros2.org/articles/topic_and_service_names.html>).
+//! `sensor_msgs::msg::dds_::Image_`
+//! (<https://design.ros2.org/articles/topic_and_service_names.html>).
 
 use odograph::error::{Error, Result};
 use std::fmt;

@@ -119,8 +119,8 @@ fn now_ns() -> u64 {
 }
 
 impl RunPublisher {
-    /// Announces the topics. Of images of ROS 2 the link has the times and the frame; those of other
-    /// sources are stamped by the clock.
+    /// Announces the topics. Of images of ROS 2 the link has the times and the frame; those of
+    /// other sources are stamped by the clock.
     ///
     /// # Errors
     /// If a topic cannot be announced.

@@ -6,9 +6,11 @@
 mod clip;
 
 use odograph::error::{Error, Result};
-use odograph::trajectory::FrameEstimate;
+use odograph::filter::fusion::{Quantity, SensorRecord, Sensors};
+use odograph_live::capture::{Captured, LiveSource, Policy};
 use odograph_session::RunEnd;
-use odograph_session::live::{LiveOptions, PoseSink};
+use odograph_session::live::{CaptureOptions, LiveFrame, LiveInput, LiveOptions, PoseSink, open_live_input};
+use odograph_video::SourceInfo;
 use std::fs;
 
 /// Keeps the numbers of the frames, and fails at one of them.
@@ -19,10 +21,11 @@ struct Numbers {
 }
 
 impl PoseSink for Numbers {
-    fn take(&mut self, frame: &FrameEstimate, latency_ms: f64) -> Result<()> {
-        assert!(latency_ms >= 0.0);
-        self.frames.push(frame.frame);
-        match self.fails_at == Some(frame.frame) {
+    fn take(&mut self, frame: &LiveFrame<'_>) -> Result<()> {
+        assert!(frame.latency_ms >= 0.0);
+        let number = frame.estimate.frame;
+        self.frames.push(number);
+        match self.fails_at == Some(number) {
             true => Err(Error::output("the robot is away")),
             false => Ok(()),
         }
@@ -55,6 +58,43 @@ fn a_live_run_over_a_recording_gives_the_odometry_of_a_run() {
     assert_eq!(sink.frames, (0..30).collect::<Vec<u64>>());
     let odometry = |folder: &std::path::Path| fs::read(folder.join("odometry.tum")).unwrap();
     assert_eq!(odometry(&recorded), odometry(&live));
+}
+
+/// A source of the caller, which had no time for three frames and knows how fast the wheel turned.
+struct Robot(Box<dyn LiveSource>);
+
+impl LiveSource for Robot {
+    fn info(&self) -> &SourceInfo {
+        self.0.info()
+    }
+
+    fn next_frame(&mut self) -> Result<Option<Captured>> {
+        self.0.next_frame()
+    }
+
+    fn take_sensors(&mut self) -> Sensors {
+        let (times_s, speeds) = (vec![0.0, 0.5, 1.0], vec![0.3; 3]);
+        let wheel = SensorRecord::new(Quantity::Speed, times_s, vec![speeds]).unwrap();
+        Sensors { wheel: Some(wheel), ..Sensors::default() }
+    }
+
+    fn dropped(&self) -> u64 {
+        3
+    }
+}
+
+#[test]
+fn a_source_of_the_caller_has_its_sensors_and_its_drops() {
+    let folder = tempfile::tempdir().unwrap();
+    let run =
+        clip::run(30).folder(folder.path()).open_live_over(&LiveOptions::default(), &(), |plan, watch| {
+            let source = open_live_input(plan, &CaptureOptions::default(), || None, watch)?.source;
+            Ok(LiveInput { source: Box::new(Robot(source)), policy: Policy::Wait })
+        });
+    let outcome = run.unwrap().follow(None, &()).unwrap();
+    let live = outcome.statistics.live.unwrap();
+    assert_eq!((live.frames_captured, live.frames_dropped), (33, 3));
+    assert_eq!(outcome.statistics.sensors.len(), 1);
 }
 
 #[test]

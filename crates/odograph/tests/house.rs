@@ -153,8 +153,8 @@ fn a_module_imports_only_modules_listed_above_it() {
     check_order("odograph-session");
 }
 
-/// The crates of the workspace.
-const CRATES: [&str; 12] = [
+/// The crates of the workspace, and that of ROS 2.
+const CRATES: [&str; 13] = [
     "odograph",
     "odograph-calibration",
     "odograph-simulation",
@@ -167,6 +167,7 @@ const CRATES: [&str; 12] = [
     "odograph-cli",
     "odograph-gate",
     "odograph-reliability",
+    "odograph-ros2",
 ];
 
 /// The source text of every module of a crate.
@@ -239,10 +240,10 @@ fn libraries_print_nothing_read_no_clock_and_open_no_connection() {
     }
 }
 
-/// These need clocks, and two of them network connections; none prints.
+/// These need clocks, and three of them network connections; none prints.
 #[test]
-fn the_session_live_and_site_libraries_print_nothing() {
-    for name in ["odograph-session", "odograph-live", "odograph-site"] {
+fn the_session_live_ros_and_site_libraries_print_nothing() {
+    for name in ["odograph-session", "odograph-live", "odograph-ros2", "odograph-site"] {
         check_crate(name, |_, shown, text| forbidden_words(&NOT_IN_A_LIBRARY[..5], shown, text));
     }
 }
