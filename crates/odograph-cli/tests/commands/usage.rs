@@ -206,3 +206,23 @@ fn a_name_that_is_no_text_is_named() {
     assert_eq!(output.status.code(), Some(2), "{said}");
     assert!(said.contains("the name dr\u{fffd}ve.mp4 is not UTF-8 text; rename the file"), "{said}");
 }
+
+#[test]
+fn help_that_cannot_be_written_is_an_error() {
+    let Ok(full) = fs::OpenOptions::new().write(true).open("/dev/full") else {
+        println!("skipped: dev-full: there is no /dev/full");
+        return;
+    };
+    for arguments in [&["--help"][..], &["run", "--help"], &["--version"]] {
+        let output = Command::new(env!("CARGO_BIN_EXE_odograph"))
+            .args(arguments)
+            .stdout(full.try_clone().unwrap())
+            .stderr(Stdio::piped())
+            .output()
+            .unwrap();
+        assert_eq!(output.status.code(), Some(3), "{arguments:?}");
+        let message = message(&output);
+        assert!(message.starts_with("error: standard output cannot be written: "), "{message}");
+        assert_eq!(message.lines().count(), 1, "{message}");
+    }
+}
