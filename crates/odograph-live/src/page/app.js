@@ -131,7 +131,7 @@ function showFigures() {
   set("speed", track.get(at, "speed").toFixed(2));
   // Avoids a displayed -0.000.
   const rounded = (value, digits) => (+value.toFixed(digits) || 0).toFixed(digits);
-  set("heading", rounded(((degrees + 180) % 360 + 360) % 360 - 180, 1));
+  set("heading", `${rounded(((degrees + 180) % 360 + 360) % 360 - 180, 1)}°`);
   set("x", rounded(track.get(at, "x"), 3));
   set("y", rounded(track.get(at, "y"), 3));
   const sigma = 1000 * Math.sqrt(Math.max(track.get(at, "varX"), track.get(at, "varY")));
