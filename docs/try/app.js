@@ -1,7 +1,7 @@
 // The page: what was chosen goes to the worker, and what comes back is drawn.
 
 import { CAUSES, Track } from "./track.js";
-import { GroundMap } from "./map.js";
+import { GroundMap, seenPart } from "./map.js";
 import { CameraView } from "./camera.js";
 
 const $ = id => document.getElementById(id);
@@ -13,28 +13,13 @@ class LocalMap extends GroundMap {
   put(metresPerPixel, tiles, all) {
     const current = this.layers.at(-1);
     const layer = all || current?.metresPerPixel !== metresPerPixel ? { metresPerPixel, tiles: new Map(), wanted: new Map() } : current;
-    for (const tile of tiles) layer.tiles.set(`${tile.column}/${tile.row}`, tile);
+    for (const tile of tiles) layer.tiles.set(`${tile.column}/${tile.row}`, { ...tile, seen: seenPart(tile.image) });
     this.layers = [layer];
-    this.changed = true;
+    this.fit();
     document.body.dataset.tiles = this.tileCount;
   }
 
-  /// Shows the ground that was seen, not the path alone.
-  showAll() {
-    const { metresPerPixel, tiles } = this.layers.at(-1) || {};
-    if (!tiles?.size) return super.showAll();
-    this.setFollow(false);
-    const side = 256 * metresPerPixel, b = { x0: Infinity, x1: -Infinity, y0: Infinity, y1: -Infinity };
-    for (const { column, row, seen } of tiles.values()) {
-      b.x0 = Math.min(b.x0, column * side + seen.left * metresPerPixel); b.x1 = Math.max(b.x1, column * side + seen.right * metresPerPixel);
-      b.y0 = Math.min(b.y0, -row * side - seen.bottom * metresPerPixel); b.y1 = Math.max(b.y1, -row * side - seen.top * metresPerPixel);
-    }
-    const scale = .94 * Math.min(this.width / (b.x1 - b.x0), this.height / (b.y1 - b.y0));
-    this.view = { x: (b.x0 + b.x1) / 2, y: (b.y0 + b.y1) / 2, scale: Math.min(Math.max(scale, .02), 4000) };
-    this.changed = true;
-  }
-
-  clear() { this.layers = []; this.follow = true; this.drawn = null; this.at = -1; this.changed = true; }
+  clear() { this.layers = []; this.setFollow(true); this.drawn = null; this.at = -1; this.changed = true; }
 }
 
 let track = new Track(), module = null, worker = null, camera = null, chosen = null;
@@ -186,7 +171,7 @@ const told = {
     lostFrames = 0; distances = { count: 0, sum: 0 }; last = -1;
     show(summary);
     offer(files);
-    if (message) warn(message);
+    warn(message);
     for (const id of ["stop", "progress"]) $(id).hidden = true;
     for (const id of ["files", "again", "outcome"]) $(id).hidden = false;
     phase("finished");

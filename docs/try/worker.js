@@ -3,7 +3,7 @@
 
 import { open, picture } from "./video.js";
 
-const DONE = 1, AGAIN = 2;
+const DONE = 1, AGAIN = 2, TILE = 256;
 // How often the page is told of frames, pictures and ground, milliseconds.
 const RECORDS_EVERY = 60, PICTURE_EVERY = 120, GROUND_EVERY = 300, PREVIEW = 640, MOSAIC_LONGEST = 8192;
 
@@ -138,24 +138,10 @@ async function tiles(odograph, all = false) {
   const sent = [];
   for (const [column, row] of changed) {
     odograph.call("tile", column, row);
-    const side = 256, bytes = odograph.output(), image = new ImageData(new Uint8ClampedArray(bytes.buffer), side, side);
-    sent.push({ column, row, seen: seen(new Uint32Array(bytes.buffer), side), image: await createImageBitmap(image) });
+    const image = new ImageData(new Uint8ClampedArray(odograph.output().buffer), TILE, TILE);
+    sent.push({ column, row, image: await createImageBitmap(image) });
   }
   if (sent.length) say("ground", { metresPerPixel, tiles: sent, all }, sent.map(tile => tile.image));
-}
-
-/// The part of a tile where ground was seen: the pixels that are opaque.
-function seen(pixels, side) {
-  const box = { left: side, right: 0, top: side, bottom: 0 };
-  for (let k = 0; k < pixels.length; k++) {
-    if (pixels[k] < 0xff000000) continue;
-    const x = k % side, y = (k - x) / side;
-    if (x < box.left) box.left = x;
-    if (x >= box.right) box.right = x + 1;
-    if (y < box.top) box.top = y;
-    box.bottom = y + 1;
-  }
-  return box;
 }
 
 async function deliver(odograph, summary, failure) {
