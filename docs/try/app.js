@@ -27,6 +27,8 @@ const map = new LocalMap($("map"), track);
 
 // ---- start
 
+$("unserved").remove();
+
 const phase = name => { document.body.dataset.phase = name; };
 const say = (text, tone = "wait") => { const state = $("state"); if (state.textContent !== text) state.textContent = text; state.dataset.tone = tone; };
 function warn(text) { $("message").hidden = !text; $("message").textContent = text || ""; }
@@ -269,7 +271,7 @@ function addUp() {
 
 function showFigures(at) {
   addUp();
-  const known = Number.isFinite(track.get(at, "x")), set = (id, text) => { $(id).textContent = known ? text : "–"; };
+  const known = Number.isFinite(track.get(at, "x")), set = (id, text) => { $(id).textContent = known ? text : "–"; $(id).parentElement.classList.toggle("unknown", !known); };
   const rounded = (value, digits) => (+value.toFixed(digits) || 0).toFixed(digits), degrees = track.get(at, "heading") * 180 / Math.PI;
   set("heading", `${rounded(((degrees + 180) % 360 + 360) % 360 - 180, 1)}°`);
   set("x", rounded(track.get(at, "x"), 3));

@@ -4,6 +4,8 @@
 /// Layouts of pixels by their numbers in the module.
 const GRAY = 0, PLANAR = 1, SEMI_PLANAR = 2, RGBA = 3;
 
+const CUT_OFF = "The video ends early, because its file is cut off or damaged. What came before was tracked.";
+
 /// Opens a video. Frames have a time in seconds, `pixels()`, `bitmap(width)` and `close()`.
 /// `undefined` where only the browser's player may be able to read it.
 export async function open(file) {
@@ -30,7 +32,7 @@ async function y4m(file) {
     let at = line.length + 1;
     for (let number = 0; at < file.size; number++) {
       const head = new TextDecoder().decode(await read(at, Math.min(128, file.size - at))), end = head.indexOf("\n");
-      if (!head.startsWith("FRAME") || end < 0 || at + end + 1 + length > file.size) return; // cut off
+      if (!head.startsWith("FRAME") || end < 0 || at + end + 1 + length > file.size) throw new Error(CUT_OFF);
       const bytes = await read(at + end + 1, planar ? length : pixels);
       at += end + 1 + length;
       yield {
@@ -193,7 +195,7 @@ function decoded(file, { config, width, height, samples, timescale, turns, secon
   async function* frames() {
     const read = reader(file), ready = [], micro = time => Math.round(1e6 * time / timescale);
     const times = new Map(samples.map(sample => [micro(sample.time), seconds(sample.time)]));
-    let wake = () => {}, failure = null, flushed = false, next = 0;
+    let wake = () => {}, failure = null, flushed = false, cut = false, next = 0;
     const fail = error => { failure = error; wake(); };
     const decoder = new VideoDecoder({ output: frame => { ready.push(frame); wake(); }, error: fail });
     decoder.ondequeue = () => wake();
@@ -202,7 +204,7 @@ function decoded(file, { config, width, height, samples, timescale, turns, secon
       for (;;) {
         while (next < samples.length && !failure && decoder.decodeQueueSize + ready.length < AHEAD) {
           const { offset, size, time, key } = samples[next++], data = await read(offset, size);
-          if (data.length < size) { next = samples.length; break; } // cut off
+          if (data.length < size) { cut = true; next = samples.length; break; }
           if (!failure) decoder.decode(new EncodedVideoChunk({ type: key ? "key" : "delta", timestamp: micro(time), data }));
           if (next === samples.length) break;
         }
@@ -213,6 +215,7 @@ function decoded(file, { config, width, height, samples, timescale, turns, secon
           continue;
         }
         if (failure) throw new Error(`The video ends early, because the browser cannot decode it: ${failure.message}`);
+        if (flushed && cut) throw new Error(CUT_OFF);
         if (flushed) return;
         await new Promise(resolve => { wake = resolve; });
       }

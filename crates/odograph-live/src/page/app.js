@@ -126,7 +126,7 @@ function distance(k) {
 
 function showFigures() {
   const known = Number.isFinite(track.get(at, "x"));
-  const set = (id, text) => { $(id).textContent = known ? text : "–"; };
+  const set = (id, text) => { $(id).textContent = known ? text : "–"; $(id).parentElement.classList.toggle("unknown", !known); };
   const degrees = track.get(at, "heading") * 180 / Math.PI;
   set("speed", track.get(at, "speed").toFixed(2));
   // Avoids a displayed -0.000.
