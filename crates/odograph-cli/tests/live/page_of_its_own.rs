@@ -1,4 +1,4 @@
-//! The page that tracks in a browser, without the program (`docs/try`), beside a run of the program.
+//! The page that tracks in a browser, without the program (`docs/try`), beside a run of it.
 
 use super::browser::{Browser, Tab};
 use super::program::{DEMO, LiveFolder, write_uncompressed};
@@ -69,9 +69,9 @@ fn positions(text: &str) -> Vec<[f64; 4]> {
     lines.map(|line| [0, 1, 2, 3].map(|column| number(line, column))).collect()
 }
 
-/// Largest differences at the end and on the way, metres. Sine and cosine of two platforms differ in
-/// their last digits, which the iterations of tracking and estimation end differently: positions
-/// were up to 3.2 µm apart, at the end 0.1 µm.
+/// Largest differences at the end and on the way, metres. Sine and cosine of two platforms differ
+/// in their last digits, and iterations then end differently: positions were up to 3.2 µm apart, at
+/// the end 0.1 µm.
 const AT_THE_END_M: f64 = 1e-6;
 const ON_THE_WAY_M: f64 = 1e-5;
 
