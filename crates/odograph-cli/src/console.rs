@@ -39,7 +39,12 @@ pub fn name(text: impl AsRef<OsStr>) -> String {
 /// (`odograph … | head`) is not an error.
 pub fn print(text: &str) -> Result<()> {
     let mut output = io::stdout().lock();
-    match output.write_all(escaped(text, &['\n', '\t']).as_bytes()).and_then(|()| output.flush()) {
+    written(output.write_all(escaped(text, &['\n', '\t']).as_bytes()).and_then(|()| output.flush()))
+}
+
+/// The outcome of writing to standard output, where a closed pipe is not an error.
+pub fn written(outcome: io::Result<()>) -> Result<()> {
+    match outcome {
         Err(error) if error.kind() != io::ErrorKind::BrokenPipe => {
             Err(Error::output(format!("standard output cannot be written: {error}")))
         }

@@ -13,6 +13,7 @@ use clap::{CommandFactory, FromArgMatches, Parser, Subcommand};
 use odograph::error::{ErrorKind, Result};
 use odograph_report as report;
 use odograph_session::RunEnd;
+use std::io::{self, Write};
 use std::process::ExitCode;
 
 /// One video camera in, a metric trajectory and map out.
@@ -118,9 +119,10 @@ impl From<RunEnd> for Outcome {
 
 fn main() -> ExitCode {
     let matches = command().try_get_matches();
-    let arguments = matches
-        .and_then(|matches| Arguments::from_arg_matches(&matches))
-        .unwrap_or_else(|error| wrong_number::in_words(error).exit());
+    let arguments = match matches.and_then(|matches| Arguments::from_arg_matches(&matches)) {
+        Ok(arguments) => arguments,
+        Err(error) => return instead_of_arguments(&wrong_number::in_words(error)),
+    };
     interrupt::listen();
     let outcome: Result<Outcome> = match arguments.command {
         Command::Demo(arguments) => commands::demo::demo(arguments),
@@ -155,6 +157,18 @@ fn main() -> ExitCode {
                 _ => 3,
             })
         }
+    }
+}
+
+/// Prints the help, the version, or what is wrong with the arguments.
+fn instead_of_arguments(found: &clap::Error) -> ExitCode {
+    let printed = found.print().and_then(|()| io::stdout().flush());
+    match console::written(printed) {
+        Err(error) if !found.use_stderr() => {
+            console::failure("", &error);
+            ExitCode::from(3)
+        }
+        _ => ExitCode::from(u8::try_from(found.exit_code()).unwrap_or(2)),
     }
 }
 

@@ -10,6 +10,8 @@ mod browser;
 mod disk;
 #[path = "live/long.rs"]
 mod long;
+#[path = "live/page_of_its_own.rs"]
+mod page_of_its_own;
 #[path = "live/program.rs"]
 mod program;
 #[path = "live/rtsp.rs"]
@@ -324,6 +326,8 @@ fn the_page_shows_a_run_while_it_grows_and_afterwards() {
     browser.wait(&page, "document.body.dataset.marks == 1");
     browser.evaluate(&page, "document.getElementById('mark').click()");
     browser.wait(&phone, "document.body.dataset.marks == 2");
+    // A unit stands beside a number, and not beside the dash of a frame without one.
+    browser.wait(&page, "/^(-?[0-9.]+°|–)$/.test(document.getElementById('heading').textContent)");
     // Trajectory and ground map grow.
     browser.wait(
         &page,

@@ -261,7 +261,7 @@ pub struct SimulateArguments {
     /// A bright spot with a highlight, and darkness around it.
     #[arg(long, value_name = "STRENGTH", num_args = 0..=1, default_missing_value = "0.7", help_heading = "Effects")]
     lamp: Option<f64>,
-    /// Share of frames that are missing
+    /// Share of frames that are dropped at random, 0 to below 1
     #[arg(
         long,
         value_name = "SHARE",

@@ -226,3 +226,23 @@ fn ros_2_is_another_build_of_the_program() {
         assert_eq!((refused.status.code(), message(&refused)), (Some(2), sentence));
     }
 }
+
+#[test]
+fn help_that_cannot_be_written_is_an_error() {
+    let Ok(full) = fs::OpenOptions::new().write(true).open("/dev/full") else {
+        println!("skipped: dev-full: there is no /dev/full");
+        return;
+    };
+    for arguments in [&["--help"][..], &["run", "--help"], &["--version"]] {
+        let output = Command::new(env!("CARGO_BIN_EXE_odograph"))
+            .args(arguments)
+            .stdout(full.try_clone().unwrap())
+            .stderr(Stdio::piped())
+            .output()
+            .unwrap();
+        assert_eq!(output.status.code(), Some(3), "{arguments:?}");
+        let message = message(&output);
+        assert!(message.starts_with("error: standard output cannot be written: "), "{message}");
+        assert_eq!(message.lines().count(), 1, "{message}");
+    }
+}

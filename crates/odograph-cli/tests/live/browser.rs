@@ -3,6 +3,7 @@
 use serde_json::{Value, json};
 use std::io::{BufRead, BufReader};
 use std::net::TcpStream;
+use std::path::Path;
 use std::process::{Child, Command, Stdio};
 use std::time::{Duration, Instant};
 use tungstenite::{Message, WebSocket};
@@ -14,6 +15,8 @@ pub struct Browser {
     child: Child,
     socket: WebSocket<TcpStream>,
     next: u64,
+    /// Events of the tabs that asked for them ([`Browser::listen`]), in order.
+    events: Vec<Value>,
     _profile: tempfile::TempDir,
 }
 
@@ -60,7 +63,7 @@ impl Browser {
         let stream = TcpStream::connect(host).map_err(|error| error.to_string())?;
         stream.set_read_timeout(Some(PATIENCE)).map_err(|error| error.to_string())?;
         let (socket, _) = tungstenite::client(address, stream).map_err(|error| error.to_string())?;
-        Ok(Self { child, socket, next: 0, _profile: profile })
+        Ok(Self { child, socket, next: 0, events: Vec::new(), _profile: profile })
     }
 
     fn call(&mut self, session: Option<&str>, method: &str, parameters: Value) -> Value {
@@ -79,11 +82,62 @@ impl Browser {
                 assert!(answer["error"].is_null(), "{method}: {answer}");
                 return answer["result"].clone();
             }
+            if answer["method"].is_string() {
+                self.events.push(answer);
+            }
         }
     }
 
     /// Opens a page in a new tab of a given size, in light or dark mode.
     pub fn open(&mut self, url: &str, size: (u32, u32), dark: bool) -> Tab {
+        let tab = self.tab(size, dark);
+        self.go(&tab, url);
+        tab
+    }
+
+    /// Goes to a page.
+    pub fn go(&mut self, tab: &Tab, url: &str) {
+        self.call(Some(&tab.session), "Page.navigate", json!({ "url": url }));
+    }
+
+    /// Keeps what is logged and requested in a tab from here on.
+    pub fn listen(&mut self, tab: &Tab) {
+        for domain in ["Log", "Runtime", "Network"] {
+            self.call(Some(&tab.session), &format!("{domain}.enable"), json!({}));
+        }
+    }
+
+    /// What was written to the console or logged as an error, and the exceptions that nothing
+    /// caught.
+    pub fn complaints(&self) -> Vec<String> {
+        let told = ["Log.entryAdded", "Runtime.consoleAPICalled", "Runtime.exceptionThrown"];
+        let told = self.events.iter().filter(|event| told.iter().any(|name| event["method"] == *name));
+        told.map(|event| event["params"].to_string()).collect()
+    }
+
+    /// The addresses that were requested.
+    pub fn requests(&self) -> Vec<String> {
+        let requests = self.events.iter().filter(|event| event["method"] == "Network.requestWillBeSent");
+        requests.filter_map(|event| Some(event["params"]["request"]["url"].as_str()?.to_owned())).collect()
+    }
+
+    /// Chooses the file of an input element.
+    pub fn choose_file(&mut self, tab: &Tab, selector: &str, file: &Path) {
+        let session = Some(&*tab.session);
+        let root = self.call(session, "DOM.getDocument", json!({}))["root"]["nodeId"].clone();
+        let found = self.call(session, "DOM.querySelector", json!({ "nodeId": root, "selector": selector }));
+        let chosen = json!({ "nodeId": found["nodeId"], "files": [file] });
+        self.call(session, "DOM.setFileInputFiles", chosen);
+    }
+
+    /// Saves downloads in a folder.
+    pub fn download_into(&mut self, folder: &Path) {
+        let behavior = json!({ "behavior": "allow", "downloadPath": folder });
+        self.call(None, "Browser.setDownloadBehavior", behavior);
+    }
+
+    /// An empty tab of a given size, in light or dark mode.
+    pub fn tab(&mut self, size: (u32, u32), dark: bool) -> Tab {
         let target = self.call(None, "Target.createTarget", json!({ "url": "about:blank" }));
         let attach = json!({ "targetId": target["targetId"], "flatten": true });
         let session =
@@ -92,7 +146,6 @@ impl Browser {
         self.look(&tab, size, dark);
         // Key events reach only a focused page.
         self.call(Some(&tab.session), "Emulation.setFocusEmulationEnabled", json!({ "enabled": true }));
-        self.call(Some(&tab.session), "Page.navigate", json!({ "url": url }));
         tab
     }
 
@@ -142,7 +195,7 @@ impl Browser {
         let Some(folder) = std::env::var_os("ODOGRAPH_SCREENSHOTS") else { return };
         self.call(Some(&tab.session), "Page.bringToFront", json!({}));
         let shot = self.call(Some(&tab.session), "Page.captureScreenshot", json!({ "format": "png" }));
-        let path = std::path::Path::new(&folder).join(format!("{name}.png"));
+        let path = Path::new(&folder).join(format!("{name}.png"));
         std::fs::write(path, base64(shot["data"].as_str().unwrap())).unwrap();
     }
 }

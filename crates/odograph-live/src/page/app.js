@@ -126,12 +126,12 @@ function distance(k) {
 
 function showFigures() {
   const known = Number.isFinite(track.get(at, "x"));
-  const set = (id, text) => { $(id).textContent = known ? text : "–"; };
+  const set = (id, text) => { $(id).textContent = known ? text : "–"; $(id).parentElement.classList.toggle("unknown", !known); };
   const degrees = track.get(at, "heading") * 180 / Math.PI;
   set("speed", track.get(at, "speed").toFixed(2));
   // Avoids a displayed -0.000.
   const rounded = (value, digits) => (+value.toFixed(digits) || 0).toFixed(digits);
-  set("heading", rounded(((degrees + 180) % 360 + 360) % 360 - 180, 1));
+  set("heading", `${rounded(((degrees + 180) % 360 + 360) % 360 - 180, 1)}°`);
   set("x", rounded(track.get(at, "x"), 3));
   set("y", rounded(track.get(at, "y"), 3));
   const sigma = 1000 * Math.sqrt(Math.max(track.get(at, "varX"), track.get(at, "varY")));

@@ -34,9 +34,14 @@ export class CameraView {
     const head = new DataView(bytes);
     const count = head.getUint16(2, true), tracks = new Int16Array(bytes, 8, 5 * count);
     const image = await createImageBitmap(new Blob([new Uint8Array(bytes, 8 + 10 * count)], { type: "image/jpeg" }));
-    const c = this.context, { width, height } = this.canvas;
-    c.drawImage(image, 0, 0, width, height);
+    this.paint(image, tracks);
     image.close();
+  }
+
+  /// Draws an image with its tracks: five numbers each, the first four in quarters of a pixel.
+  paint(image, tracks) {
+    const c = this.context, { width, height } = this.canvas, count = tracks.length / 5;
+    c.drawImage(image, 0, 0, width, height);
     this.overlay?.(c, width, height);
     const scale = width / this.size.width / 4, r = Math.max(1.8, width / 300);
     let good = 0;

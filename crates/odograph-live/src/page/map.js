@@ -4,9 +4,28 @@ const TILE = 256;
 const FETCHES = 6;
 // Margin of the path layer beyond the view, pixels: the view can pan this far without a redraw.
 const MARGIN = 256;
+// Least margin around the path where all is shown, metres.
+const MARGIN_M = .3;
 // While zooming, the path layer is only scaled. It is redrawn this long after the last step,
 // milliseconds.
 const SETTLED = 120;
+// Side of the thumbnail in which the seen part of a tile is found, pixels.
+const THUMBNAIL = 32;
+const thumbnail = Object.assign(document.createElement("canvas"), { width: THUMBNAIL, height: THUMBNAIL }).getContext("2d", { willReadFrequently: true });
+
+/// The part of a tile in which ground was seen, as fractions of its side; `null` for an empty one.
+export function seenPart(image) {
+  thumbnail.clearRect(0, 0, THUMBNAIL, THUMBNAIL);
+  thumbnail.drawImage(image, 0, 0, THUMBNAIL, THUMBNAIL);
+  const { data } = thumbnail.getImageData(0, 0, THUMBNAIL, THUMBNAIL);
+  let left = THUMBNAIL, right = 0, top = THUMBNAIL, bottom = 0;
+  for (let k = 3; k < data.length; k += 4) {
+    if (!data[k]) continue;
+    const x = (k >> 2) % THUMBNAIL, y = Math.floor((k >> 2) / THUMBNAIL);
+    left = Math.min(left, x); right = Math.max(right, x + 1); top = Math.min(top, y); bottom = y + 1;
+  }
+  return right ? { left: left / THUMBNAIL, right: right / THUMBNAIL, top: top / THUMBNAIL, bottom: bottom / THUMBNAIL } : null;
+}
 
 export class GroundMap {
   constructor(canvas, track, token) {
@@ -18,6 +37,7 @@ export class GroundMap {
     this.marks = [];
     this.graph = { keyframes: [], loops: [] };
     this.follow = true;
+    this.fits = this.unfitted = false;
     this.view = { x: 0, y: 0, scale: 160 };
     this.zoomed = -Infinity;
     this.pathLayer = document.createElement("canvas");
@@ -27,7 +47,7 @@ export class GroundMap {
     this.onUnfollow = () => {};
     this.listen();
     // Resizing clears a canvas, so it is redrawn before the next display frame.
-    new ResizeObserver(() => { this.resize(); this.draw(); }).observe(canvas);
+    new ResizeObserver(() => { this.resize(); this.fit(); this.draw(); }).observe(canvas);
     this.resize();
   }
 
@@ -73,7 +93,7 @@ export class GroundMap {
       const image = new Image();
       layer.version = (layer.version || 0) + 1;
       image.src = `/tiles/${tile.column}/${tile.row}.png?v=${layer.version}`;
-      image.decode().then(() => { layer.tiles.set(key, { ...tile, image }); this.changed = true; document.body.dataset.tiles = this.tileCount; },
+      image.decode().then(() => { layer.tiles.set(key, { ...tile, image, seen: seenPart(image) }); this.fit(); document.body.dataset.tiles = this.tileCount; },
         // The tile no longer exists: a loop closure has moved the ground elsewhere.
         () => { layer.tiles.delete(key); this.changed = true; }).finally(() => {
         this.fetching--;
@@ -87,20 +107,38 @@ export class GroundMap {
 
   show(at) { if (at !== this.at) { this.at = at; this.changed = true; } }
 
-  setFollow(follow) { this.follow = follow; this.changed = true; if (!follow) this.onUnfollow(); }
+  setFollow(follow) { this.follow = follow; this.fits &&= !follow; this.changed = true; if (!follow) this.onUnfollow(); }
 
   /// Sets the pose graph: keyframes and loop closures.
   setGraph(graph) { this.graph = graph; this.drawn = null; this.changed = true; document.body.dataset.keyframes = graph.keyframes.length; }
 
+  /// Bounds of the path and of the ground seen so far; `null` without either.
+  bounds() {
+    const bounds = this.track.bounds, all = bounds ? [{ x0: bounds.x0 - MARGIN_M, x1: bounds.x1 + MARGIN_M, y0: bounds.y0 - MARGIN_M, y1: bounds.y1 + MARGIN_M }] : [];
+    for (const { metresPerPixel, tiles } of this.layers) {
+      const side = TILE * metresPerPixel;
+      for (const { column, row, seen } of tiles.values()) if (seen) {
+        all.push({ x0: (column + seen.left) * side, x1: (column + seen.right) * side, y0: -(row + seen.bottom) * side, y1: -(row + seen.top) * side });
+      }
+    }
+    const extend = (a, b) => ({ x0: Math.min(a.x0, b.x0), x1: Math.max(a.x1, b.x1), y0: Math.min(a.y0, b.y0), y1: Math.max(a.y1, b.y1) });
+    return all.length ? all.reduce(extend) : null;
+  }
+
+  /// Shows all, and goes on doing so while ground is added, until the view is moved.
   showAll() {
-    const b = this.track.bounds;
+    this.fits = true;
+    this.unfitted = false;
+    const b = this.bounds();
     if (!b) return;
     this.setFollow(false);
-    const margin = 0.5;
-    const scale = Math.min(this.width / (b.x1 - b.x0 + 2 * margin), this.height / (b.y1 - b.y0 + 2 * margin)) * 0.92;
+    const scale = Math.min(this.width / (b.x1 - b.x0), this.height / (b.y1 - b.y0)) * 0.94;
     this.view = { x: (b.x0 + b.x1) / 2, y: (b.y0 + b.y1) / 2, scale: Math.min(Math.max(scale, .02), 4000) };
     this.changed = true;
   }
+
+  /// After a change of ground or size: fits the view with the next drawing.
+  fit() { this.changed = true; this.unfitted = this.fits; }
 
   zoom(factor, px = this.width / 2, py = this.height / 2) {
     const scale = Math.min(Math.max(this.view.scale * factor, .02), 8000);
@@ -111,11 +149,13 @@ export class GroundMap {
     }
     this.view.scale = scale;
     this.zoomed = performance.now();
+    this.fits = false;
     this.changed = true;
   }
 
   pan(dx, dy) {
     if (this.follow) this.setFollow(false);
+    this.fits = false;
     this.view.x -= dx / this.view.scale;
     this.view.y += dy / this.view.scale;
     this.changed = true;
@@ -154,6 +194,7 @@ export class GroundMap {
   toY(y) { return this.height / 2 - (y - this.view.y) * this.view.scale; }
 
   draw() {
+    if (this.fits && this.unfitted) this.showAll();
     const place = this.track.lastPlace(this.at);
     if (this.follow && place >= 0) {
       this.view.x = this.track.get(place, "x");

@@ -53,12 +53,18 @@ function draw() {
     const zoom = mosaic.metres / view.metres;
     context.drawImage(mosaic.image, left, top, mosaic.image.width * zoom, mosaic.image.height * zoom);
   }
-  context.lineWidth = 2 * scale;
+  context.lineJoin = "round";
   for (const session of state.sessions) {
-    context.strokeStyle = context.fillStyle = colorOf(session.robot);
     context.setLineDash(session.connected ? [] : [6 * scale, 6 * scale]);
-    line(session.path);
+    // A light outline keeps the path visible on any ground.
+    for (const [color, width] of [["#ffffffd0", 5], [colorOf(session.robot), 2.6]]) {
+      context.strokeStyle = color;
+      context.lineWidth = width * scale;
+      line(session.path);
+    }
     context.setLineDash([]);
+    context.fillStyle = colorOf(session.robot);
+    context.lineWidth = 2 * scale;
     const last = session.path[session.path.length - 1];
     if (!last || session.condition === "ended") continue;
     const [x, y] = place(last[0], last[1]);
@@ -179,6 +185,21 @@ canvas.addEventListener("pointermove", (event) => {
   const scale = window.devicePixelRatio || 1;
   view.x -= event.movementX * scale * view.metres;
   view.y += event.movementY * scale * view.metres;
+  draw();
+});
+canvas.addEventListener("keydown", (event) => {
+  if (event.ctrlKey || event.metaKey || event.altKey || !state) return;
+  const step = 60 * (window.devicePixelRatio || 1);
+  const moved = { ArrowLeft: [-step, 0], ArrowRight: [step, 0], ArrowUp: [0, step], ArrowDown: [0, -step] }[event.key];
+  const closer = { "+": 1 / 1.3, "=": 1 / 1.3, "-": 1.3 }[event.key];
+  if (!moved && !closer && event.key !== "0") return;
+  event.preventDefault();
+  view = event.key === "0" ? null : view || everything();
+  if (moved) {
+    view.x += moved[0] * view.metres;
+    view.y += moved[1] * view.metres;
+  }
+  if (closer) view.metres *= closer;
   draw();
 });
 canvas.addEventListener("dblclick", () => { view = null; draw(); });
