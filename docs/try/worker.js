@@ -4,7 +4,7 @@
 import { open, picture } from "./video.js";
 
 const DONE = 1, AGAIN = 2, TILE = 256;
-// How often the page is told of frames, pictures and ground, milliseconds.
+// Intervals at which the page gets frames, pictures and ground, milliseconds.
 const RECORDS_EVERY = 60, PICTURE_EVERY = 120, GROUND_EVERY = 300, PREVIEW = 640, MOSAIC_LONGEST = 8192;
 
 /// The functions of the module. One that fails throws the sentence that it left.

@@ -37,8 +37,8 @@ const TRANSFORMS_PATIENCE: Duration = Duration::from_secs(2);
 const MISSING_AFTER: Duration = Duration::from_secs(2);
 /// Interval of looks at what has come.
 const STEP: Duration = Duration::from_millis(50);
-/// Time after which a person is told what is waited for.
-const TOLD_AFTER: Duration = Duration::from_secs(2);
+/// Time after which a wait is reported.
+const REPORTED_AFTER: Duration = Duration::from_secs(2);
 /// Most images at the beginning that may be damaged.
 const DAMAGED: u32 = 3;
 /// A jump back in time by more than this is another beginning, not a message that was overtaken.
@@ -105,7 +105,7 @@ impl Images {
         what: &str,
         mut look: impl FnMut() -> Result<Option<T>>,
     ) -> Result<Option<T>> {
-        let (began, mut told) = (Instant::now(), false);
+        let (began, mut reported) = (Instant::now(), false);
         loop {
             if let Some(found) = look()? {
                 return Ok(Some(found));
@@ -116,8 +116,8 @@ impl Images {
             if began.elapsed() >= patience {
                 return Ok(None);
             }
-            if !told && began.elapsed() >= TOLD_AFTER {
-                told = true;
+            if !reported && began.elapsed() >= REPORTED_AFTER {
+                reported = true;
                 observer.note(&format!("waiting for {what} (ROS_DOMAIN_ID {})", self.domain));
             }
             std::thread::sleep(STEP);
