@@ -1,7 +1,7 @@
 //! Tracks a clip in the same way as `odograph run` and `odograph live`.
 
 use crate::clip::Clip;
-use crate::processor::busy_ms;
+use crate::processor::{Reference, busy_ms};
 use crate::rows::Follow;
 use odograph::error::Result;
 use odograph::ground_map::MemoryImages;
@@ -20,6 +20,8 @@ pub struct TrackedClip {
     pub frames: Vec<FrameEstimate>,
     /// Processor time of the odometry per frame, milliseconds.
     pub times_ms: Vec<f64>,
+    /// The workload that was timed between the frames.
+    pub reference: Reference,
     /// Number of restarts because mount or lens were found to differ from the given calibration.
     pub restarts: usize,
 }
@@ -70,6 +72,7 @@ fn pass(
             followed.restarts += 1;
         }
         followed.times_ms.push(busy_ms() - begun);
+        followed.reference.time_a_piece();
         if let Some(difference) = monitor.watch(&frame, &odometry) {
             return Ok(PassEnd::Differs(difference));
         }

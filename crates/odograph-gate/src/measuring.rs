@@ -5,7 +5,7 @@ use crate::baseline::{GateResults, RowFigures, Skipped};
 use crate::clip::Clip;
 use crate::figures::Figures;
 use crate::following::{TrackedClip, follow};
-use crate::processor::{peak_memory_mb, reference_ms};
+use crate::processor::peak_memory_mb;
 use crate::recordings::{self, RealRecording};
 use crate::rendering::render;
 use crate::rows::BenchmarkRow;
@@ -69,7 +69,6 @@ pub fn measure(arguments: &GateArguments) -> GateResults {
         });
     }
     let mut process = Figures::default();
-    process.set("reference_ms", reference_ms());
     // Peak memory is only comparable with all rows and the default threads, hence the same clips in
     // memory.
     if arguments.words.is_empty() && arguments.threads.is_none() && arguments.seeds.is_none() {
@@ -104,7 +103,6 @@ fn in_parallel(
 }
 
 fn figures_of(job: &Job) -> Result<Figures> {
-    let reference_ms = reference_ms();
     let (clip, followed, mut figures) = match job {
         Job::Rendered { row, seed } => {
             let clip = render(row, *seed)?;
@@ -129,8 +127,9 @@ fn figures_of(job: &Job) -> Result<Figures> {
     let mean_ms = times_ms.iter().sum::<f64>() / times_ms.len().max(1) as f64;
     let p99_ms = times_ms.get(times_ms.len() * 99 / 100).copied().unwrap_or(f64::NAN);
     figures.set("frame_ms", mean_ms);
-    // Mean of the reference before and after, as the load of the machine may have changed.
-    figures.set("frame_ratio", mean_ms / (0.5 * (reference_ms + crate::processor::reference_ms())));
+    let reference_ms = followed.reference.mean_ms();
+    figures.set("reference_ms", reference_ms);
+    figures.set("frame_ratio", mean_ms / reference_ms);
     figures.set("p99_ratio", p99_ms / mean_ms);
     Ok(figures)
 }
