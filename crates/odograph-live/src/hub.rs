@@ -35,6 +35,8 @@ struct ViewerState {
     status: Status,
     statuses: u64,
     marks: Vec<Mark>,
+    /// Whether the marks are complete.
+    marks_closed: bool,
     notices: Vec<Notice>,
     notices_sent: u64,
 }
@@ -146,13 +148,13 @@ impl Hub {
         self.seen().view.clone()
     }
 
-    /// Adds a mark at the newest frame. Returns `None` if there is no frame yet or the maximum
-    /// number of marks is reached. Control characters are removed from the name and it is cut at 80
+    /// Adds a mark at the newest frame. Returns `None` if there is no frame yet, if the maximum
+    /// number of marks is reached or if the run has ended. Control characters are removed from the name and it is cut at 80
     /// characters; an empty name becomes the mark's number.
     pub fn mark(&self, name: &str) -> Option<Mark> {
         let mut seen = self.seen();
         let count = seen.records.count();
-        if count == 0 || seen.marks.len() >= MAX_MARKS {
+        if count == 0 || seen.marks.len() >= MAX_MARKS || seen.marks_closed {
             return None;
         }
         let last = seen.records.from(count - 1);
@@ -180,9 +182,17 @@ impl Hub {
         self.seen().marks.get(first..).unwrap_or_default().to_vec()
     }
 
+    /// The marks from index `first` on, after which no mark is accepted.
+    pub fn close_marks(&self, first: usize) -> Vec<Mark> {
+        self.seen().marks_closed = true;
+        self.marks_from(first)
+    }
+
     /// Sets the marks of a finished run, replacing all present ones.
     pub fn set_marks(&self, marks: Vec<Mark>) {
-        self.seen().marks = marks;
+        let mut seen = self.seen();
+        (seen.marks, seen.marks_closed) = (marks, true);
+        drop(seen);
         self.news.notify_all();
     }
 
@@ -419,5 +429,8 @@ mod tests {
         hub.add_record(&record(2.0, f32::NAN));
         assert_eq!(hub.mark("lost").unwrap().x_m, None);
         assert_eq!(hub.marks_from(1).len(), 2);
+        assert_eq!(hub.close_marks(1).len(), 2);
+        assert!(hub.mark("after the last that is saved").is_none());
+        assert_eq!(hub.marks_from(0).len(), 3);
     }
 }

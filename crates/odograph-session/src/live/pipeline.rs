@@ -99,6 +99,8 @@ pub fn follow(
         return Err(Error::usage("a live run ends once"));
     };
     following.times.map = times;
+    // Also those that were set since tracking ended.
+    following.recorder.mark(hub.close_marks(following.recorder.marks()));
     let live = following.statistics(dropped);
     let found = following.calibration.as_ref().and_then(OnlineCalibration::found);
     let tracked = Tracked {
