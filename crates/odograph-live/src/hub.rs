@@ -2,8 +2,9 @@
 //! viewer; each viewer reads what is new since its last read.
 
 use crate::ground::TiledGround;
-use crate::record::{TrackRecord, TrackRecords};
+use crate::records::TrackRecords;
 pub use crate::shown::{Introduction, Mark, Phase, Status, View};
+use odograph::formats::track_record::TrackRecord;
 use odograph::mosaic::MosaicSquare;
 use serde::Serialize;
 use std::sync::atomic::{AtomicBool, AtomicUsize, Ordering};

@@ -5,7 +5,7 @@ use super::access::AccessVerdict;
 use super::deadline::Deadlined;
 use super::http::{ANSWER_PATIENCE, Answer, HttpRefusal, Method, Request};
 use crate::ground::tile_png;
-use crate::record::TrackRecord;
+use odograph::formats::track_record::TrackRecord;
 use odograph::mosaic::MosaicSquare;
 use serde_json::json;
 use std::fs::File;
