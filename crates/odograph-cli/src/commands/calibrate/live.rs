@@ -7,6 +7,7 @@ use super::{
     output::CalibrationOutput,
 };
 use crate::commands::live::{Offer, Serving};
+use crate::report::calibration::pixels_text;
 use crate::{Outcome, interrupt};
 use odograph::error::{Error, Result};
 use odograph::geometry::Pixel;
@@ -293,7 +294,12 @@ fn send_result(hub: &Hub, calibrated: &CalibrationResult) {
 
 fn said(calibration: &Calibration) -> String {
     let reason = calibration.reasons.first().map_or_else(String::new, |reason| format!(": {reason}"));
-    format!("{} with {:.3} px on views held out{reason}", calibration.verdict, calibration.hold_out_rms_px)
+    format!(
+        "{}, expected error of a ray {}, {} on views held out{reason}",
+        calibration.verdict,
+        pixels_text(calibration.expected_error_over_image_px()),
+        pixels_text(calibration.hold_out_rms_px)
+    )
 }
 
 /// Trial calibrations with the views so far, in parallel to the search.

@@ -188,6 +188,12 @@ fn input_without_board_is_refused_in_one_sentence() {
     fs::create_dir(place.path("texts")).unwrap();
     fs::write(place.path("texts/a.txt"), "not a picture").unwrap();
     place.refused(&usual("texts"), 3, &["texts: there are no pictures"]);
+    // The drawings of a run are no pictures of a board.
+    fs::create_dir(place.path("drive")).unwrap();
+    for name in ["run.toml", "trajectory.csv", "map.png"] {
+        fs::write(place.path(&format!("drive/{name}")), "").unwrap();
+    }
+    place.refused(&usual("drive"), 3, &["drive is the folder of a run, not of a recording"]);
     fs::write(place.path("text.png"), "not a picture").unwrap();
     place.refused(&usual("text.png"), 3, &["text.png"]);
 
