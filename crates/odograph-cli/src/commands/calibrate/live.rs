@@ -68,6 +68,7 @@ pub fn calibrate(
         height: info.height,
         height_m: 0.0,
         live: true,
+        recovered: false,
         calibration: true,
     };
     let no_ground = Mutex::new(Mosaic::new(Default::default()));
