@@ -304,6 +304,15 @@ fn invalid_sources_are_refused_in_one_sentence() {
     assert!(view("nowhere").contains("nowhere: there is no such folder or file"));
 }
 
+/// A mask of the left tenth of the drive's images.
+fn write_mask(path: &std::path::Path) {
+    let samples: Vec<u8> = (0..640 * 480).map(|at| if at % 640 < 64 { 0 } else { 255 }).collect();
+    let mut encoder = png::Encoder::new(std::fs::File::create(path).unwrap(), 640, 480);
+    encoder.set_color(png::ColorType::Grayscale);
+    encoder.set_depth(png::BitDepth::Eight);
+    encoder.write_header().unwrap().write_image_data(&samples).unwrap();
+}
+
 #[test]
 fn the_page_shows_a_run_while_it_grows_and_afterwards() {
     let mut browser = match Browser::start() {
@@ -314,7 +323,8 @@ fn the_page_shows_a_run_while_it_grows_and_afterwards() {
         }
     };
     let place = LiveFolder::new();
-    let mut live = place.server("live", &format!("{DEMO}/drive.mp4 --realtime 2 -o out"));
+    write_mask(&place.path("mask.png"));
+    let mut live = place.server("live", &format!("{DEMO}/drive.mp4 --realtime 2 --mask mask.png -o out"));
     let url = live.url.clone();
     let page = browser.open(&url, (1280, 800), false);
     let number = |browser: &mut Browser, tab, name: &str| {
@@ -372,6 +382,16 @@ fn the_page_shows_a_run_while_it_grows_and_afterwards() {
     let colours = "(() => { const c = document.getElementById('map'); const d = c.getContext('2d').getImageData(0, 0, c.width, c.height).data; \
                    const seen = new Set(); for (let k = 0; k < d.length; k += 404) seen.add(d[k] + ',' + d[k + 1] + ',' + d[k + 2]); return seen.size })()";
     assert!(browser.evaluate(&page, colours).as_u64().unwrap() > 50);
+    // Layers: the ground can be switched off, and the mask is offered, here the left tenth.
+    let switch = "document.querySelector('[data-layer=ground]').click()";
+    browser.evaluate(&page, switch);
+    browser.wait(&page, &format!("{colours} < 50"));
+    browser.evaluate(&page, switch);
+    browser.wait(&page, "document.body.dataset.mask >= 288");
+    assert_eq!(
+        browser.evaluate(&page, "document.querySelector('[data-layer=mask]').parentElement.hidden"),
+        json!(false)
+    );
     // It asks before it ends the run, and goes on if told so.
     browser.evaluate(&page, "document.getElementById('stop').click()");
     browser.evaluate(&page, "document.querySelector('#ask [value=\"\"]').click()");

@@ -156,9 +156,9 @@ impl Hub {
         self.seen().view.clone()
     }
 
-    /// Adds a mark at the newest frame; returns its index and the mark. Returns `None` if there is no frame yet or the maximum
-    /// number of marks is reached. Control characters are removed from the name and it is cut at 80
-    /// characters; an empty name becomes the mark's number.
+    /// Adds a mark at the newest frame; returns its index and the mark, `None` if there is no frame
+    /// yet or the maximum number of marks is reached. Control characters are removed from the name
+    /// and it is cut at 80 characters; an empty name becomes the mark's number.
     pub fn mark(&self, name: &str) -> Option<(usize, Mark)> {
         let mut seen = self.seen();
         let count = seen.records.count();
@@ -182,8 +182,8 @@ impl Hub {
         Some((index, mark))
     }
 
-    /// Gives a mark another name, as [`Hub::mark`] does. Returns `None` if there is no such mark, or
-    /// if the marks are being written or have been.
+    /// Gives a mark another name, as [`Hub::mark`] does. Returns `None` if there is no such mark,
+    /// or if the marks are being written or have been.
     pub fn rename_mark(&self, index: usize, name: &str) -> Option<Mark> {
         let mut seen = self.seen();
         if !matches!(seen.status.phase, Phase::Running | Phase::Waiting) {
@@ -204,8 +204,8 @@ impl Hub {
         self.seen().marks_changed
     }
 
-    /// Replaces all records by those of the finished run. Their latencies stay, which a finished run
-    /// does not have.
+    /// Replaces all records by those of the finished run. Their latencies stay, which a finished
+    /// run does not have.
     pub fn replace_records(&self, records: &[TrackRecord]) {
         const LATENCY: usize = 13;
         let mut seen = self.seen();

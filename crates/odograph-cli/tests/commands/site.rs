@@ -83,14 +83,15 @@ fn two_runs_share_the_map_of_a_site_that_was_killed() {
     // A killed run is run again as the robot that it was, and sent.
     let mut killed =
         odograph(folder, &format!("run {run} -o three --site {url} --robot three")).spawn().unwrap();
-    while !folder.join("three/run.toml.part").exists() {
+    let frames = folder.join("three/trajectory.csv.part");
+    while std::fs::metadata(&frames).map_or(0, |frames| frames.len()) == 0 {
         assert!(killed.try_wait().unwrap().is_none(), "it ended before it was killed");
     }
     killed.kill().unwrap();
     killed.wait().unwrap();
     let other = odograph(folder, &format!("run --resume three --site {url} --robot four")).output().unwrap();
-    assert_eq!(other.status.code(), Some(2));
     let told = String::from_utf8(other.stderr).unwrap();
+    assert_eq!(other.status.code(), Some(2), "{told}");
     assert!(told.contains("was begun as robot three, not four"), "{told}");
     done(folder, &format!("run --resume three --site {url} --quiet"));
     let status: Value =

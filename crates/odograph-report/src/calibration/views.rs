@@ -50,8 +50,8 @@ fn marks<'a>(views: &'a [ShownView<'_>], used: bool) -> impl Iterator<Item = &'a
         .step_by(every)
 }
 
-/// All detected corners over the cells of the image, which are the darker, the more of them they have
-/// seen.
+/// All detected corners over the cells of the image, whose colour is the stronger, the more of them
+/// they have seen.
 pub fn coverage(size: (usize, usize), views: &[ShownView<'_>], coverage: &ViewCoverage) -> PageDrawing {
     let frame = ImageFrame::new(size);
     let (left, right, top, bottom) = frame.sides();
@@ -83,8 +83,8 @@ pub fn coverage(size: (usize, usize), views: &[ShownView<'_>], coverage: &ViewCo
     frame.drawing(&content, 0.0)
 }
 
-/// Opacity of a cell with so many points, of at most `most`. Logarithmic: the difference between none
-/// and a few counts, not that between hundreds and thousands.
+/// Opacity of a cell with so many points, of at most `most`. Logarithmic: the difference between
+/// none and a few counts, not that between hundreds and thousands.
 fn shade(points: usize, most: usize) -> f64 {
     0.15 + 0.5 * (points as f64).ln_1p() / (most as f64).ln_1p()
 }

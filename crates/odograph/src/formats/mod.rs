@@ -1,5 +1,5 @@
-//! Text formats: camera, calibration, control, rig, sensor, GNSS and trajectory files; and the record
-//! of a frame for pages.
+//! Text formats: camera, calibration, control, rig, sensor, GNSS and trajectory files; and the
+//! record of a frame for pages.
 //!
 //! Nothing here opens a file: readers take text, writers return it. Readers accept any text without
 //! panicking, in time and memory proportional to its length, and report errors in one sentence.

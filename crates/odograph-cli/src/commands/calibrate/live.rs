@@ -144,18 +144,20 @@ fn open(arguments: &CalibrateArguments, watch: &Watch) -> Result<LiveInput> {
     open_live_input(&plan, &arguments.capture.options(), || None, watch)
 }
 
-/// The camera file, and the report if it is below the same folder.
+/// The camera files, and the report if it is below the same folder.
 fn offer(output: &CalibrationOutput) -> Offer {
     let camera = output.camera_file();
     let folder = match camera.parent() {
         Some(folder) if folder != Path::new("") => folder.to_owned(),
         _ => ".".into(),
     };
-    let page = output.report_page();
-    let beside = page.strip_prefix(&folder).unwrap_or(&page);
     let name = camera.file_name().unwrap_or_default().to_string_lossy().into_owned();
-    let page = beside.is_relative().then(|| beside.to_string_lossy().into_owned());
-    Offer { folder, files: [name].into_iter().chain(page).collect() }
+    let below = [output.report_page(), output.bent_board_file()].into_iter().filter_map(|path| {
+        let beside = path.strip_prefix(&folder).unwrap_or(&path);
+        beside.is_relative().then(|| beside.to_string_lossy().into_owned())
+    });
+    let files = [name].into_iter().chain(below).collect();
+    Offer { folder, files }
 }
 
 /// The loop: look for the board, show, say what is missing, try.

@@ -28,8 +28,8 @@ pub struct BoardSearch {
 }
 
 impl BoardSearch {
-    /// Drops names and thumbnails of sightings that cannot be chosen any more: a recording shows the
-    /// board in thousands of frames.
+    /// Drops names and thumbnails of sightings that cannot be chosen any more: a recording shows
+    /// the board in thousands of frames.
     fn forget_what_cannot_be_chosen(&mut self) {
         const MAX_REMEMBERED: usize = 4096;
         if self.names.len() > MAX_REMEMBERED {
