@@ -49,8 +49,8 @@ pub struct Ending<'a> {
     pub started: Instant,
 }
 
-/// Improves the trajectory and writes everything into the folder. Warnings of a live run that fails,
-/// of which there is no outcome, are given to the observer: nobody can do that run again.
+/// Improves the trajectory and writes everything into the folder. Warnings of a live run that
+/// fails, of which there is no outcome, are given to the observer: nobody can do that run again.
 pub fn finish(
     plan: &RunPlan,
     mut tracked: Tracked,
