@@ -30,6 +30,6 @@ pub use extrinsics::{
 pub use finder::{BoardFinder, MarkerFinder, NotFound, SeenMarker, nothing_found};
 pub use marker_family::MarkerFamily;
 pub use solver::{
-    BoardPose, BoardShape, CalibratedView, Calibration, CalibrationConfig, LensModel, ModelComparison,
-    Parameter, Verdict, board_pose, calibrate,
+    BendEvidence, BoardPose, BoardShape, CalibratedView, Calibration, CalibrationConfig, LensModel,
+    ModelComparison, Parameter, Verdict, board_pose, calibrate,
 };

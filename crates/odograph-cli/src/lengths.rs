@@ -9,6 +9,20 @@ pub fn metres(text: &str) -> Result<f64, String> {
     parse(text).map(|(metres, _)| metres)
 }
 
+/// Two lengths in metres. A unit behind the second is that of both; one behind the first alone says
+/// nothing certain about the second.
+pub fn pair(first: &str, second: &str) -> Option<(f64, f64)> {
+    let ((first_m, first_has_unit), (second_m, second_has_unit)) = (parse(first).ok()?, parse(second).ok()?);
+    match (first_has_unit, second_has_unit) {
+        (false, true) => {
+            let unit = second.trim().trim_start_matches(|c: char| !c.is_ascii_alphabetic());
+            Some((metres(&format!("{first}{unit}")).ok()?, second_m))
+        }
+        (true, false) => None,
+        _ => Some((first_m, second_m)),
+    }
+}
+
 /// A length in a unit of this many metres; a bare number is in that unit already.
 pub fn in_unit(text: &str, unit_m: f64) -> Result<f64, String> {
     parse(text).map(|(number, has_unit)| if has_unit { number / unit_m } else { number })
@@ -109,6 +123,9 @@ mod tests {
         }
         assert_eq!(in_unit("1cm", 1e-3), Ok(10.0));
         assert_eq!(with_unit("5mm"), Ok(5e-3));
+        assert_eq!(pair("25", "19mm"), Some((0.025, 0.019)));
+        assert_eq!(pair("120cm", "0.9m"), Some((1.2, 0.9)));
+        assert_eq!((pair("1.2", "0.9"), pair("120cm", "90")), (Some((1.2, 0.9)), None));
         for text in ["5", "-5mm", "nanmm", "mm"] {
             assert!(with_unit(text).unwrap_err().contains("with its unit"), "{text}");
         }

@@ -232,6 +232,7 @@ fn a_killed_run_keeps_its_results_and_can_be_viewed() {
     let mut view = place.server("view", "out");
     let state: serde_json::Value = serde_json::from_str(&view.get("/state")).unwrap();
     assert_eq!((&state["introduction"]["live"], &state["status"]["captured"]), (&json!(false), &json!(kept)));
+    assert_eq!(state["introduction"]["recovered"], json!(true));
     view.end();
     // The map of a killed run has neither a trajectory nor a mosaic: the keyframes replace the
     // former, the latter is drawn while viewing.
@@ -285,6 +286,8 @@ fn invalid_sources_are_refused_in_one_sentence() {
     assert!(refused("https://phone/video -o out", 2).contains("http://"));
     assert!(refused("http://a:b/ -o out", 2).contains("is not an address"));
     assert!(refused("rtsp://127.0.0.1:9/x -o out", 3).contains("install ffmpeg"));
+    let nowhere = refused(&format!("{DEMO}/drive.mp4 --udp nowhere -o out"), 2);
+    assert!(nowhere.contains("cannot be sent to nowhere") && nowhere.contains("HOST:PORT"), "{nowhere}");
     assert!(
         refused(&format!("{DEMO}/drive.mp4 --serve 0.0.0.0:0 --token short -o out"), 2)
             .contains("at least 8")
@@ -301,6 +304,15 @@ fn invalid_sources_are_refused_in_one_sentence() {
     assert!(view("nowhere").contains("nowhere: there is no such folder or file"));
 }
 
+/// A mask of the left tenth of the drive's images.
+fn write_mask(path: &std::path::Path) {
+    let samples: Vec<u8> = (0..640 * 480).map(|at| if at % 640 < 64 { 0 } else { 255 }).collect();
+    let mut encoder = png::Encoder::new(std::fs::File::create(path).unwrap(), 640, 480);
+    encoder.set_color(png::ColorType::Grayscale);
+    encoder.set_depth(png::BitDepth::Eight);
+    encoder.write_header().unwrap().write_image_data(&samples).unwrap();
+}
+
 #[test]
 fn the_page_shows_a_run_while_it_grows_and_afterwards() {
     let mut browser = match Browser::start() {
@@ -311,7 +323,8 @@ fn the_page_shows_a_run_while_it_grows_and_afterwards() {
         }
     };
     let place = LiveFolder::new();
-    let mut live = place.server("live", &format!("{DEMO}/drive.mp4 --realtime 2 -o out"));
+    write_mask(&place.path("mask.png"));
+    let mut live = place.server("live", &format!("{DEMO}/drive.mp4 --realtime 2 --mask mask.png -o out"));
     let url = live.url.clone();
     let page = browser.open(&url, (1280, 800), false);
     let number = |browser: &mut Browser, tab, name: &str| {
@@ -326,6 +339,26 @@ fn the_page_shows_a_run_while_it_grows_and_afterwards() {
     browser.wait(&page, "document.body.dataset.marks == 1");
     browser.evaluate(&page, "document.getElementById('mark').click()");
     browser.wait(&phone, "document.body.dataset.marks == 2");
+    // A mark is named after it was set; keys are then letters.
+    browser.wait(&page, "!document.getElementById('naming').hidden");
+    browser.press(&page, "m");
+    browser.evaluate(&page, "document.getElementById('mark-name').value = 'gate, \"north\"'");
+    browser.evaluate(&page, "document.querySelector('#naming .strong').click()");
+    // Paused, the clock still has the time of the newest frame.
+    browser.press(&page, " ");
+    browser.evaluate(&page, "window.before = document.getElementById('clock').textContent");
+    browser.wait(
+        &page,
+        "document.getElementById('clock').textContent.split(' / ')[1] !== before.split(' / ')[1]",
+    );
+    assert_eq!(
+        browser.evaluate(
+            &page,
+            "document.getElementById('clock').textContent.split(' / ')[0] === before.split(' / ')[0]"
+        ),
+        json!(true)
+    );
+    browser.press(&page, "l");
     // A unit stands beside a number, and not beside the dash of a frame without one.
     browser.wait(&page, "/^(-?[0-9.]+°|–)$/.test(document.getElementById('heading').textContent)");
     // Trajectory and ground map grow.
@@ -349,8 +382,25 @@ fn the_page_shows_a_run_while_it_grows_and_afterwards() {
     let colours = "(() => { const c = document.getElementById('map'); const d = c.getContext('2d').getImageData(0, 0, c.width, c.height).data; \
                    const seen = new Set(); for (let k = 0; k < d.length; k += 404) seen.add(d[k] + ',' + d[k + 1] + ',' + d[k + 2]); return seen.size })()";
     assert!(browser.evaluate(&page, colours).as_u64().unwrap() > 50);
+    // Layers: the ground can be switched off, and the mask is offered, here the left tenth.
+    let switch = "document.querySelector('[data-layer=ground]').click()";
+    browser.evaluate(&page, switch);
+    browser.wait(&page, &format!("{colours} < 50"));
+    browser.evaluate(&page, switch);
+    browser.wait(&page, "document.body.dataset.mask >= 288");
+    assert_eq!(
+        browser.evaluate(&page, "document.querySelector('[data-layer=mask]').parentElement.hidden"),
+        json!(false)
+    );
+    // It asks before it ends the run, and goes on if told so.
     browser.evaluate(&page, "document.getElementById('stop').click()");
+    browser.evaluate(&page, "document.querySelector('#ask [value=\"\"]').click()");
+    assert_eq!(browser.evaluate(&page, "document.getElementById('stop').disabled"), json!(false));
+    browser.evaluate(&page, "document.getElementById('stop').click()");
+    browser.evaluate(&page, "document.querySelector('#ask [value=stop]').click()");
     browser.wait(&phone, "document.body.dataset.phase == 'saved'");
+    // Path and ground are now those that were written.
+    browser.wait(&page, "document.body.dataset.replaced == 1");
     browser.wait(
         &page,
         "[...document.querySelectorAll('#downloads a')].some(link => link.download == 'report.html')",
@@ -359,8 +409,27 @@ fn the_page_shows_a_run_while_it_grows_and_afterwards() {
     assert_eq!(table.as_str().unwrap().as_bytes(), place.read("out/trajectory.csv"));
     let marks = String::from_utf8(place.read("out/marks.csv")).unwrap();
     assert_eq!(marks.lines().count(), 3, "{marks}");
+    assert!(marks.contains("\"gate, \"\"north\"\"\""), "{marks}");
+    // The report can be looked at, in a sandbox, and everything is there as one file.
+    let report = "fetch('/report').then(answer => answer.headers.get('content-security-policy'))";
+    assert!(browser.evaluate(&page, report).as_str().unwrap().starts_with("sandbox allow-scripts"));
+    assert_eq!(browser.evaluate(&page, "document.getElementById('report').hidden"), json!(false));
+    let archive = live.answer("/all.zip").unwrap();
+    assert!(archive.starts_with(b"PK\x03\x04"));
+    let table = place.read("out/trajectory.csv");
+    assert!(archive.windows(table.len()).any(|part| part == table), "the path is not in the archive");
     browser.picture(&page, "saved-desktop-light");
     live.end();
+    // The program has ended: the page says so, and offers nothing that it cannot give.
+    browser.wait(&page, "document.body.dataset.gone == 1");
+    assert_eq!(
+        browser.evaluate(&page, "document.getElementById('state').textContent"),
+        json!("saved; program ended")
+    );
+    let off = "['stop', 'mark', 'files'].every(id => document.getElementById(id).disabled) \
+               && ['downloads', 'report'].every(id => document.getElementById(id).hidden)";
+    assert_eq!(browser.evaluate(&page, off), json!(true));
+    browser.picture(&page, "gone-desktop-light");
     look_at_the_finished_run(&mut browser, &place);
 }
 

@@ -4,6 +4,9 @@ use odograph::error::{Error, Result};
 use odograph::geometry::Placement;
 use odograph::mosaic::{Mosaic, MosaicSquare};
 use std::collections::BTreeMap;
+use std::fs::File;
+use std::io::{BufReader, Read};
+use std::path::Path;
 use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
 
 /// State of a ground map.
@@ -152,6 +155,41 @@ impl GroundPicture {
             return Err(Error::input("the mosaic's picture and its world file do not belong together"));
         }
         Ok(Self { rgba, width: width as i64, height: height as i64, placement })
+    }
+
+    /// The mosaic in the folder of a run; `None` where there is none.
+    ///
+    /// # Errors
+    /// If it cannot be read, is not one of this program, or has more pixels than `max_pixels`.
+    pub fn of_run(folder: &Path, max_pixels: usize) -> Result<Option<Self>> {
+        let (picture, world) = (folder.join("mosaic.png"), folder.join("mosaic.pgw"));
+        if !picture.is_file() || !world.is_file() {
+            return Ok(None);
+        }
+        let damaged = |why: String| Error::input(format!("{} cannot be shown: {why}", picture.display()));
+        let mut text = String::new();
+        // Six numbers.
+        const MAX_TEXT: u64 = 1 << 12;
+        File::open(&world)
+            .and_then(|file| file.take(MAX_TEXT).read_to_string(&mut text))
+            .map_err(|error| Error::input(format!("{}: {error}", world.display())))?;
+        let numbers: Vec<f64> = text.lines().filter_map(|line| line.trim().parse().ok()).collect();
+        let [metres_per_pixel, _, _, _, x_m, y_m] = numbers[..] else {
+            return Err(Error::input(format!("{} is not a world file of six numbers", world.display())));
+        };
+        let file = File::open(&picture).map_err(|error| damaged(error.to_string()))?;
+        let mut decoder = png::Decoder::new(BufReader::new(file));
+        decoder.set_limits(png::Limits { bytes: 8 * max_pixels });
+        let mut reader = decoder.read_info().map_err(|error| damaged(error.to_string()))?;
+        let size = reader.output_buffer_size().filter(|size| *size <= 4 * max_pixels);
+        let (color, depth) = reader.output_color_type();
+        if color != png::ColorType::Rgba || depth != png::BitDepth::Eight {
+            return Err(damaged("it is not a mosaic of this program".to_owned()));
+        }
+        let mut rgba = vec![0; size.ok_or_else(|| damaged("it is too large".to_owned()))?];
+        let info = reader.next_frame(&mut rgba).map_err(|error| damaged(error.to_string()))?;
+        let placement = Placement { metres_per_pixel, x_m, y_m };
+        Self::new(rgba, info.width as usize, info.height as usize, placement).map(Some)
     }
 
     /// Column and row of the top-left pixel, counted from the world origin.

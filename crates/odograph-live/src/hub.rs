@@ -2,8 +2,9 @@
 //! viewer; each viewer reads what is new since its last read.
 
 use crate::ground::TiledGround;
-use crate::record::{TrackRecord, TrackRecords};
+use crate::records::TrackRecords;
 pub use crate::shown::{Introduction, Mark, Phase, Status, View};
+use odograph::formats::track_record::TrackRecord;
 use odograph::mosaic::MosaicSquare;
 use serde::Serialize;
 use std::sync::atomic::{AtomicBool, AtomicUsize, Ordering};
@@ -35,8 +36,13 @@ struct ViewerState {
     status: Status,
     statuses: u64,
     marks: Vec<Mark>,
-    /// Whether the marks are complete.
+    /// Whether the marks are complete: none is set or renamed any more.
     marks_closed: bool,
+    /// Number of changes of the marks; and of those of marks that viewers already have.
+    marks_changed: u64,
+    marks_renamed: u64,
+    /// Number of times that all records were replaced.
+    replaced: u64,
     notices: Vec<Notice>,
     notices_sent: u64,
 }
@@ -52,9 +58,11 @@ struct Notice {
 #[derive(Debug, Default)]
 pub struct Cursor {
     records: usize,
+    replaced: u64,
     view: u64,
     status: u64,
     marks: usize,
+    renamed: u64,
     notices: u64,
     ground: u64,
     metres_per_pixel: f64,
@@ -66,14 +74,16 @@ pub struct Cursor {
 /// What is new to a viewer since its last read.
 #[derive(Debug, Default)]
 pub struct News {
+    /// Whether all records before are void: the run has its final path.
+    pub replaced: bool,
     /// Index of the first new record, and the new records' values, [`TrackRecord::LENGTH`] each.
     pub records: Option<(usize, Vec<f32>)>,
     /// The newest camera view.
     pub view: Option<Arc<View>>,
     /// The run's status, if it changed.
     pub status: Option<Status>,
-    /// New marks.
-    pub marks: Vec<Mark>,
+    /// New and renamed marks, and the index of the first.
+    pub marks: (usize, Vec<Mark>),
     /// JSON messages, the newest one of each kind.
     pub notices: Vec<Arc<str>>,
     /// Changed tiles of the ground map, and its ground sampling distance in metres per pixel.
@@ -148,10 +158,11 @@ impl Hub {
         self.seen().view.clone()
     }
 
-    /// Adds a mark at the newest frame. Returns `None` if there is no frame yet, if the maximum
-    /// number of marks is reached or if the run has ended. Control characters are removed from the name and it is cut at 80
-    /// characters; an empty name becomes the mark's number.
-    pub fn mark(&self, name: &str) -> Option<Mark> {
+    /// Adds a mark at the newest frame; returns its index and the mark, `None` if there is no frame
+    /// yet, if the maximum number of marks is reached or if the marks are closed. Control characters
+    /// are removed from the name and it is cut at 80 characters; an empty name becomes the mark's
+    /// number.
+    pub fn mark(&self, name: &str) -> Option<(usize, Mark)> {
         let mut seen = self.seen();
         let count = seen.records.count();
         if count == 0 || seen.marks.len() >= MAX_MARKS || seen.marks_closed {
@@ -159,22 +170,60 @@ impl Hub {
         }
         let last = seen.records.from(count - 1);
         let known = |value: f32| value.is_finite().then_some(value);
-        let name: String = name.chars().filter(|c| !c.is_control()).take(80).collect();
         let mark = Mark {
             record: count - 1,
             time_s: last[0],
             x_m: known(last[1]),
             y_m: known(last[2]),
-            name: if name.trim().is_empty() {
-                format!("{}", seen.marks.len() + 1)
-            } else {
-                name.trim().to_owned()
-            },
+            name: mark_name(name, seen.marks.len()),
         };
+        let index = seen.marks.len();
         seen.marks.push(mark.clone());
+        seen.marks_changed += 1;
         drop(seen);
         self.news.notify_all();
-        Some(mark)
+        Some((index, mark))
+    }
+
+    /// Gives a mark another name, as [`Hub::mark`] does. Returns `None` if there is no such mark,
+    /// or if the marks are closed.
+    pub fn rename_mark(&self, index: usize, name: &str) -> Option<Mark> {
+        let mut seen = self.seen();
+        if seen.marks_closed {
+            return None;
+        }
+        let mark = seen.marks.get_mut(index)?;
+        mark.name = mark_name(name, index);
+        let renamed = mark.clone();
+        seen.marks_changed += 1;
+        seen.marks_renamed += 1;
+        drop(seen);
+        self.news.notify_all();
+        Some(renamed)
+    }
+
+    /// Number of changes of the marks so far.
+    pub fn marks_changed(&self) -> u64 {
+        self.seen().marks_changed
+    }
+
+    /// Replaces all records by those of the finished run. Their latencies stay, which a finished
+    /// run does not have.
+    pub fn replace_records(&self, records: &[TrackRecord]) {
+        const LATENCY: usize = 13;
+        let mut seen = self.seen();
+        let mut fresh = TrackRecords::default();
+        for (index, record) in records.iter().enumerate() {
+            let mut record = *record;
+            if index < seen.records.count() && record.values[LATENCY].is_nan() {
+                record.values[LATENCY] = seen.records.from(index)[LATENCY];
+            }
+            fresh.push(&record);
+        }
+        seen.records = fresh;
+        seen.replaced += 1;
+        drop(seen);
+        self.news.notify_all();
     }
 
     /// The marks from index `first` on.
@@ -182,10 +231,9 @@ impl Hub {
         self.seen().marks.get(first..).unwrap_or_default().to_vec()
     }
 
-    /// The marks from index `first` on, after which no mark is accepted.
-    pub fn close_marks(&self, first: usize) -> Vec<Mark> {
+    /// Closes the marks before they are written for the last time.
+    pub fn close_marks(&self) {
         self.seen().marks_closed = true;
-        self.marks_from(first)
     }
 
     /// Sets the marks of a finished run, replacing all present ones.
@@ -252,6 +300,12 @@ impl Hub {
     fn collect(&self, seen: &ViewerState, cursor: &mut Cursor) -> Option<News> {
         let mut news = News::default();
         let mut any = false;
+        if seen.replaced != cursor.replaced {
+            // One that connects later has nothing to replace.
+            news.replaced = cursor.records > 0;
+            (cursor.replaced, cursor.records) = (seen.replaced, 0);
+            any = true;
+        }
         if seen.records.count() > cursor.records {
             let records = seen.records.from(cursor.records).to_vec();
             let next = cursor.records + records.len() / TrackRecord::LENGTH;
@@ -271,9 +325,11 @@ impl Hub {
             cursor.status = seen.statuses;
             any = true;
         }
-        if seen.marks.len() > cursor.marks {
-            news.marks = seen.marks[cursor.marks..].to_vec();
-            cursor.marks = seen.marks.len();
+        // All marks again if one that the viewer has was renamed.
+        let first = if seen.marks_renamed == cursor.renamed { cursor.marks } else { 0 };
+        if seen.marks.len() > first {
+            news.marks = (first, seen.marks[first..].to_vec());
+            (cursor.marks, cursor.renamed) = (seen.marks.len(), seen.marks_renamed);
             any = true;
         }
         if seen.notices_sent > cursor.notices {
@@ -284,6 +340,13 @@ impl Hub {
         }
         any.then_some(news)
     }
+}
+
+/// The name of the mark with this index: control characters are removed from what a person gave, it
+/// is cut at 80 characters, and an empty name becomes the mark's number.
+fn mark_name(given: &str, index: usize) -> String {
+    let name: String = given.chars().filter(|c| !c.is_control()).take(80).collect();
+    if name.trim().is_empty() { format!("{}", index + 1) } else { name.trim().to_owned() }
 }
 
 /// A connected viewer with its read position.
@@ -350,6 +413,7 @@ mod tests {
             height: 3,
             height_m: 1.0,
             live: true,
+            recovered: false,
             calibration: false,
         };
         Arc::new(Hub::new(introduction, Arc::new(Mutex::new(Mosaic::new(Default::default())))))
@@ -423,14 +487,60 @@ mod tests {
         let hub = hub();
         assert!(hub.mark("too early").is_none());
         hub.add_record(&record(1.5, 2.5));
-        assert_eq!(hub.mark(" door\r\n ").unwrap().name, "door");
-        let unnamed = hub.mark("").unwrap();
+        assert_eq!(hub.mark(" door\r\n ").unwrap().1.name, "door");
+        let (index, unnamed) = hub.mark("").unwrap();
+        assert_eq!(index, 1);
         assert_eq!((unnamed.name.as_str(), unnamed.time_s, unnamed.x_m), ("2", 1.5, Some(2.5)));
         hub.add_record(&record(2.0, f32::NAN));
-        assert_eq!(hub.mark("lost").unwrap().x_m, None);
+        assert_eq!(hub.mark("lost").unwrap().1.x_m, None);
         assert_eq!(hub.marks_from(1).len(), 2);
-        assert_eq!(hub.close_marks(1).len(), 2);
+        hub.close_marks();
         assert!(hub.mark("after the last that is saved").is_none());
         assert_eq!(hub.marks_from(0).len(), 3);
+    }
+
+    #[test]
+    fn a_mark_can_be_renamed_until_the_marks_are_closed() {
+        let hub = hub();
+        hub.add_record(&record(1.5, 2.5));
+        let mut viewer = hub.look();
+        hub.mark("");
+        assert_eq!(viewer.news(Duration::ZERO).marks.1[0].name, "1");
+        hub.mark("");
+        assert_eq!(hub.rename_mark(0, " gate\n").unwrap().name, "gate");
+        assert_eq!(hub.rename_mark(1, " ").unwrap().name, "2");
+        let (first, marks) = viewer.news(Duration::ZERO).marks;
+        assert_eq!((first, marks[0].name.as_str(), marks.len()), (0, "gate", 2));
+        assert!(viewer.news(Duration::ZERO).marks.1.is_empty());
+        assert_eq!((hub.marks_changed(), hub.rename_mark(2, "none")), (4, None));
+        hub.close_marks();
+        assert_eq!(hub.rename_mark(0, "late"), None);
+    }
+
+    #[test]
+    fn the_final_path_replaces_the_records_and_keeps_their_latencies() {
+        let hub = hub();
+        let mut viewer = hub.look();
+        for k in 0..3 {
+            let mut record = record(k as f32, 0.0);
+            record.values[13] = 4.0 + k as f32;
+            hub.add_record(&record);
+        }
+        viewer.news(Duration::ZERO);
+        let finals: Vec<TrackRecord> = (0..3)
+            .map(|k| {
+                let mut record = record(k as f32, 9.0);
+                record.values[13] = f32::NAN;
+                record
+            })
+            .collect();
+        hub.replace_records(&finals);
+        let news = viewer.news(Duration::ZERO);
+        let (first, values) = news.records.unwrap();
+        assert!(news.replaced && first == 0 && values.len() == 3 * TrackRecord::LENGTH);
+        assert_eq!((values[1], values[TrackRecord::LENGTH + 13]), (9.0, 5.0));
+        assert!(!viewer.news(Duration::ZERO).replaced);
+        // One that comes later has nothing that is void.
+        assert!(!hub.look().news(Duration::ZERO).replaced);
     }
 }

@@ -13,7 +13,7 @@
 
 pub mod capture;
 pub mod ground;
-pub mod record;
+mod records;
 mod shown;
 pub mod hub;
 mod view;
@@ -24,5 +24,5 @@ pub mod server;
 pub use foxglove::McapFile;
 pub use ground::{GroundPicture, TiledGround};
 pub use hub::{Hub, Introduction, Mark, Phase, Status, View};
-pub use record::TrackRecord;
+pub use odograph::formats::track_record::TrackRecord;
 pub use server::{Server, ServerOptions};

@@ -17,6 +17,8 @@ pub struct Introduction {
     pub height_m: f64,
     /// `true` for a live run, `false` for a finished one.
     pub live: bool,
+    /// Whether it is what a run has left that was killed.
+    pub recovered: bool,
     /// Whether this is a calibration, which displays detected boards instead of a trajectory.
     pub calibration: bool,
 }

@@ -36,6 +36,7 @@ fn place(token: Option<&str>) -> ServerFixture {
         height: 480,
         height_m: 1.0,
         live: true,
+        recovered: false,
         calibration: false,
     };
     let hub = Arc::new(Hub::new(introduction, Arc::new(Mutex::new(Mosaic::new(Default::default())))));

@@ -259,6 +259,11 @@ impl RunBuilder {
         self.output.map.path()
     }
 
+    /// Name of the robot, where it has one.
+    pub fn robot_name(&self) -> Option<&str> {
+        self.output.robot.as_deref()
+    }
+
     /// Name of the robot: the session has an origin in the map then, and can be sent to a site.
     #[must_use]
     pub fn robot(mut self, name: impl Into<String>) -> Self {

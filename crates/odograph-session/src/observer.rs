@@ -29,7 +29,8 @@ pub trait Observer: Sync {
     }
 
     /// Something about the input that a person should check before waiting for the result, as a
-    /// sentence. Warnings about the result are in the outcome instead.
+    /// sentence. Warnings about the result are in the outcome; those of a live run that fails, of
+    /// which there is none, come here.
     fn warn(&self, sentence: &str) {
         let _ = sentence;
     }

@@ -54,6 +54,8 @@ pub struct RunStatistics {
     pub fixed_in_image: FixedInImage,
     /// Whether the run was ended early by a signal.
     pub interrupted: bool,
+    /// Warnings about the run, one sentence each; empty if there are none.
+    pub warnings: Vec<String>,
     /// Number of frames that an interrupted run would have had; left out where the source does not
     /// state it, and of complete runs.
     #[serde(skip_serializing_if = "Option::is_none")]

@@ -8,10 +8,11 @@ mod clip;
 use odograph::error::{Error, Result};
 use odograph::filter::fusion::{Quantity, SensorRecord, Sensors};
 use odograph_live::capture::{Captured, LiveSource, Policy};
-use odograph_session::RunEnd;
 use odograph_session::live::{CaptureOptions, LiveFrame, LiveInput, LiveOptions, PoseSink, open_live_input};
+use odograph_session::{Observer, RunEnd};
 use odograph_video::SourceInfo;
 use std::fs;
+use std::sync::Mutex;
 
 /// Keeps the numbers of the frames, and fails at one of them.
 #[derive(Default)]
@@ -60,6 +61,8 @@ fn a_live_run_over_a_recording_gives_the_odometry_of_a_run() {
     assert_eq!(odometry(&recorded), odometry(&live));
 }
 
+const WARNING: &str = "the bumper was touched";
+
 /// A source of the caller, which had no time for three frames and knows how fast the wheel turned.
 struct Robot(Box<dyn LiveSource>);
 
@@ -76,6 +79,10 @@ impl LiveSource for Robot {
         let (times_s, speeds) = (vec![0.0, 0.5, 1.0], vec![0.3; 3]);
         let wheel = SensorRecord::new(Quantity::Speed, times_s, vec![speeds]).unwrap();
         Sensors { wheel: Some(wheel), ..Sensors::default() }
+    }
+
+    fn take_warnings(&mut self) -> Vec<String> {
+        vec![WARNING.to_owned()]
     }
 
     fn dropped(&self) -> u64 {
@@ -106,4 +113,37 @@ fn a_sink_that_fails_ends_the_run_with_its_results_written() {
     assert_eq!(error.to_string(), "the robot is away");
     assert_eq!(sink.frames.last(), Some(&12));
     assert!(folder.path().join("trajectory.tum").exists());
+}
+
+/// Keeps what it is warned of.
+#[derive(Default)]
+struct Warned(Mutex<Vec<String>>);
+
+impl Observer for Warned {
+    fn warn(&self, sentence: &str) {
+        self.0.lock().unwrap().push(sentence.to_owned());
+    }
+}
+
+#[test]
+fn warnings_of_a_live_run_that_fails_are_told_and_kept() {
+    let folder = tempfile::tempdir().unwrap();
+    let mut sink = Numbers { fails_at: Some(12), ..Numbers::default() };
+    let warned = Warned::default();
+    let run =
+        clip::run(30).folder(folder.path()).open_live_over(&LiveOptions::default(), &(), |plan, watch| {
+            let source = open_live_input(plan, &CaptureOptions::default(), || None, watch)?.source;
+            Ok(LiveInput { source: Box::new(Robot(source)), policy: Policy::Wait })
+        });
+    let error = run.unwrap().follow(Some(&mut sink), &warned).unwrap_err();
+    assert_eq!(error.to_string(), "the robot is away");
+    let warned = warned.0.into_inner().unwrap();
+    assert!(warned.iter().any(|warning| warning == WARNING), "{warned:?}");
+    // What the error says itself is not told twice.
+    assert!(warned.iter().all(|warning| !warning.contains("the robot is away")), "{warned:?}");
+    let kept = fs::read_to_string(folder.path().join("stats.json")).unwrap();
+    assert!(
+        kept.contains(WARNING) && kept.contains("the recording ended early: the robot is away"),
+        "{kept}"
+    );
 }

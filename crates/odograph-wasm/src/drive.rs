@@ -3,9 +3,9 @@
 use crate::picture::{Chroma, Picture};
 use crate::settings::{Settings, Setup};
 use odograph_core::error::Result;
+use odograph_core::formats::track_record::TrackRecord;
 use odograph_core::formats::trajectory_file;
 use odograph_core::geometry::GroundPose;
-use odograph_core::geometry::pose_index::{HEADING, X, Y};
 use odograph_core::ground_map::{KeyframeImages, MemoryImages};
 use odograph_core::loop_closure::LoopClosureConfig;
 use odograph_core::mosaic::{Mosaic, MosaicOptions};
@@ -14,7 +14,7 @@ use odograph_core::pose_frame::{BaseLink, PoseFrame};
 use odograph_core::self_calibration::{CameraDifference, CameraMonitor, MultiPassCalibration};
 use odograph_core::slam::{Mapper, map_frames};
 use odograph_core::trajectory::{FrameSummary, distance_m};
-use odograph_core::{Camera, FrameEstimate, LossReason, Odometry, OdometryConfig, TrackStatus};
+use odograph_core::{Camera, FrameEstimate, Odometry, OdometryConfig};
 use serde::Serialize;
 use std::collections::BTreeMap;
 
@@ -47,7 +47,7 @@ struct Pass {
 }
 
 /// Number of values in the record of a frame.
-pub const RECORD: usize = 15;
+pub const RECORD: usize = TrackRecord::LENGTH;
 
 /// What became of a frame.
 #[derive(Debug, Clone, PartialEq)]
@@ -210,7 +210,7 @@ impl Drive {
     /// The records of all frames.
     pub fn records(&self) -> impl Iterator<Item = [f32; RECORD]> {
         let first_s = self.pass.first_time_s();
-        self.pass.frames.iter().map(move |frame| record(frame, first_s))
+        self.pass.frames.iter().map(move |frame| TrackRecord::new(frame, first_s, None).values)
     }
 
     /// The path as `trajectory.tum`.
@@ -313,7 +313,8 @@ impl Pass {
 
     /// The record of the last frame; NaN before the first.
     fn last_record(&self) -> [f32; RECORD] {
-        self.frames.last().map_or([f32::NAN; RECORD], |frame| record(frame, self.first_time_s()))
+        let record = |frame| TrackRecord::new(frame, self.first_time_s(), None).values;
+        self.frames.last().map_or([f32::NAN; RECORD], record)
     }
 }
 
@@ -322,39 +323,4 @@ fn add(mosaic: &mut Mosaic, camera: &Camera, pose: &GroundPose, picture: &Pictur
         Some(chroma) => mosaic.add(&chroma.rgb(&picture.gray), camera, pose),
         None => mosaic.add(&picture.gray, camera, pose),
     };
-}
-
-/// The record of a frame as the page of a live run reads it (`track.js`): time, x, y, heading,
-/// variance of x, covariance, variance of y, standard deviation of the heading, speed, why it was
-/// lost or 0, gaps before it, tracks, inliers, and two values that only a live run has.
-fn record(frame: &FrameEstimate, first_time_s: f64) -> [f32; RECORD] {
-    let mut values = [f32::NAN; RECORD];
-    if let Some(known) = &frame.estimate {
-        let (pose, covariance) = (&known.pose, &known.covariance);
-        let numbers = [
-            pose.x_m,
-            pose.y_m,
-            pose.heading_rad,
-            covariance[(X, X)],
-            covariance[(X, Y)],
-            covariance[(Y, Y)],
-            covariance[(HEADING, HEADING)].max(0.0).sqrt(),
-            known.velocity.speed_m_s(),
-        ];
-        values[1..9].iter_mut().zip(numbers).for_each(|(value, number)| *value = number as f32);
-    }
-    values[0] = (frame.time_s - first_time_s) as f32;
-    values[9] = match frame.status {
-        TrackStatus::Tracked => 0.0,
-        TrackStatus::Lost { reason: LossReason::Bare } => 1.0,
-        TrackStatus::Lost { reason: LossReason::Jump } => 2.0,
-        TrackStatus::Lost { reason: LossReason::Dark } => 4.0,
-        TrackStatus::Lost { reason: LossReason::Blur } => 5.0,
-        TrackStatus::Lost { reason: LossReason::Shadow } => 6.0,
-        TrackStatus::Lost { .. } => 3.0,
-    };
-    values[10] = frame.segment as f32;
-    values[11] = frame.tracks as f32;
-    values[12] = frame.inliers as f32;
-    values
 }

@@ -131,6 +131,11 @@ impl ViewSelector {
         )))
     }
 
+    /// Numbers of the sightings in memory: only these can be selected, now or later.
+    pub fn numbers(&self) -> impl Iterator<Item = u64> + '_ {
+        self.kept.iter().chain(self.last.iter().map(|(last, _)| last)).map(|kept| kept.sighting.number)
+    }
+
     /// The selected sightings, sorted by number.
     pub fn chosen(&self) -> Vec<&Sighting> {
         let whole = self.with_last();

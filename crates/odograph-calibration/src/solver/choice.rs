@@ -37,12 +37,14 @@ impl Tried {
             hold_out_rms_px: hold_out.rms_px,
             rms_px: fit.rms_px(sights),
             expected_error_px: map.over_image_px(),
+            with_misfit_px: map.over_image_px(),
         };
         Some(Self { fit, hold_out, candidate, camera })
     }
 }
 
-/// Index of the selected model: the one with the smallest expected ray error over the image.
+/// Index of the selected model: the one with the smallest expected ray error over the image, misfit
+/// included, which is entered into the figures of each.
 ///
 /// Cross-validation finds the model that predicts held-out views best, but only where there were
 /// points. There, a superfluous coefficient does no harm, while in the image corners it may cost
@@ -58,38 +60,58 @@ impl Tried {
 ///
 /// The double sphere model, which few programs support, is only selected for very wide lenses, and
 /// a rational model only without a pole in the image.
-pub fn choose(tried: &[Tried]) -> Option<usize> {
-    let mean = |at: usize| {
-        let views = &tried[at].hold_out.views;
-        views.iter().sum::<f64>() / views.len().max(1) as f64
+pub fn choose(tried: &mut [Tried]) -> Option<usize> {
+    let squares = squared_ray_errors(tried);
+    for (one, square) in tried.iter_mut().zip(squares.iter().flatten()) {
+        one.candidate.with_misfit_px = square.sqrt();
+    }
+    let Some(squares) = squares else { return simplest_that_fits(tried) };
+    let very_wide = is_very_wide(&tried[best_predicting(tried)?].camera);
+    let eligible = |at: &usize| {
+        let rare = tried[*at].fit.model == LensModel::DoubleSphere && !very_wide;
+        !rare && !has_pole(&tried[*at].camera)
     };
-    // Too few views for cross-validation: the simplest model whose RMS is within 10 % of the best.
-    let best = (0..tried.len()).min_by(|&a, &b| mean(a).total_cmp(&mean(b)))?;
-    if !mean(best).is_finite() {
-        let least = tried.iter().map(|one| one.candidate.rms_px).fold(f64::INFINITY, f64::min);
-        let near = |at: &usize| tried[*at].candidate.rms_px <= 1.1 * least;
-        return (0..tried.len()).filter(near).min_by_key(|&at| tried[at].fit.model.coefficients());
+    (0..tried.len()).filter(eligible).min_by(|&a, &b| squares[a].total_cmp(&squares[b]))
+}
+
+/// Mean square reprojection error of a model over held-out views; NaN or infinite if unknown.
+fn held_out(tried: &Tried) -> f64 {
+    let views = &tried.hold_out.views;
+    views.iter().sum::<f64>() / views.len().max(1) as f64
+}
+
+/// Index of the model that predicts held-out views best.
+fn best_predicting(tried: &[Tried]) -> Option<usize> {
+    (0..tried.len()).min_by(|&a, &b| held_out(&tried[a]).total_cmp(&held_out(&tried[b])))
+}
+
+/// Mean square ray error of each model over the image, variance plus squared bias; `None` if there
+/// are too few views for cross-validation.
+fn squared_ray_errors(tried: &[Tried]) -> Option<Vec<f64>> {
+    let best = best_predicting(tried)?;
+    if !held_out(&tried[best]).is_finite() {
+        return None;
     }
     let error = |at: usize| tried[at].candidate.expected_error_px;
-    // Mean square ray error over the image: variance plus squared bias.
     let total = |at: usize| {
         let pairs = tried[at].hold_out.views.iter().zip(&tried[best].hold_out.views);
         let differences: Vec<f64> = pairs.map(|(a, b)| a - b).collect();
         let count = differences.len() as f64;
         let lost = differences.iter().sum::<f64>() / count;
         let variance = differences.iter().map(|d| (d - lost).powi(2)).sum::<f64>() / (count - 1.0).max(1.0);
-        let chance = (variance / count).sqrt().max(MIN_LOSS * mean(best));
+        let chance = (variance / count).sqrt().max(MIN_LOSS * held_out(&tried[best]));
         let apart_px = disagreement_px(&tried[best].camera, &tried[at].fit.state.lens);
         let apart = if at == best { 0.0 } else { apart_px.powi(2) - error(best).powi(2) };
         error(at).powi(2) + apart.max(SURE_OVER_FITTING * (lost - chance)).max(0.0)
     };
-    let totals: Vec<f64> = (0..tried.len()).map(total).collect();
-    let very_wide = is_very_wide(&tried[best].camera);
-    let eligible = |at: &usize| {
-        let rare = tried[*at].fit.model == LensModel::DoubleSphere && !very_wide;
-        !rare && !has_pole(&tried[*at].camera)
-    };
-    (0..tried.len()).filter(eligible).min_by(|&a, &b| totals[a].total_cmp(&totals[b]))
+    Some((0..tried.len()).map(total).collect())
+}
+
+/// The model for too few views: the simplest one whose RMS is within 10 % of the best.
+fn simplest_that_fits(tried: &[Tried]) -> Option<usize> {
+    let least = tried.iter().map(|one| one.candidate.rms_px).fold(f64::INFINITY, f64::min);
+    let near = |at: &usize| tried[*at].candidate.rms_px <= 1.1 * least;
+    (0..tried.len()).filter(near).min_by_key(|&at| tried[at].fit.model.coefficients())
 }
 
 /// Whether the denominator of a rational lens comes near zero within the image. Beside such a pole

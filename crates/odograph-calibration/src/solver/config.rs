@@ -71,7 +71,7 @@ impl FromStr for LensModel {
 /// Configuration of a calibration.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct CalibrationConfig {
-    /// The lens model; `None` selects it by cross-validation.
+    /// The lens model; `None` selects the one whose rays are surest over the whole image.
     pub model: Option<LensModel>,
     /// Constrains both focal lengths to be equal (square pixels).
     pub square_pixels: bool,

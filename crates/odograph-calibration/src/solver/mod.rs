@@ -19,7 +19,9 @@ mod zhang;
 
 pub use config::{CalibrationConfig, LensModel};
 pub use pose::board_pose;
-pub use result::{BoardPose, BoardShape, CalibratedView, Calibration, ModelComparison, Parameter, Verdict};
+pub use result::{
+    BendEvidence, BoardPose, BoardShape, CalibratedView, Calibration, ModelComparison, Parameter, Verdict,
+};
 
 use super::{Board, BoardView};
 use bundle::{BoardCorrespondence, Bundle, residuals};
@@ -38,7 +40,8 @@ const MAX_POINTS: usize = 500_000;
 ///
 /// After an initialisation similar to Zhang's, lens and poses are refined together in a bundle
 /// adjustment with a robust loss (Z. Zhang, "A flexible new technique for camera calibration",
-/// 2000). If the configuration names no lens model, the model is selected by cross-validation.
+/// 2000). If the configuration names no lens model, the one is selected whose rays are surest over
+/// the whole image.
 /// Outlier views are rejected and reported with a reason. Points beyond 90° from the optical axis
 /// are used, although a [`Camera`](odograph::camera::Camera) only has rays below 90°.
 ///
@@ -98,8 +101,8 @@ pub fn calibrate(board: &Board, views: &[BoardView], config: &CalibrationConfig)
         fit.keep(&kept);
         fit.adjust(&sights);
     }
-    let tried: Vec<Tried> = fits.into_iter().filter_map(|fit| Tried::new(fit, &sights, size)).collect();
-    let taken = choice::choose(&tried).ok_or_else(|| {
+    let mut tried: Vec<Tried> = fits.into_iter().filter_map(|fit| Tried::new(fit, &sights, size)).collect();
+    let taken = choice::choose(&mut tried).ok_or_else(|| {
         Error::input("the views do not determine a camera; take more, with more tilt and all over the image")
     })?;
     let hold_out_rms_px = tried[taken].hold_out.rms_px;
@@ -170,17 +173,14 @@ impl SolverOutcome {
             views: self.views(),
             candidates: self.candidates.clone(),
             board_shape,
+            bend: if config.flat_board { self.bend() } else { None },
             verdict: Verdict::Good,
             reasons: Vec::new(),
             error_map,
         };
         let chosen: Vec<&[BoardCorrespondence]> =
             fit.views.iter().map(|&view| sights[view].as_slice()).collect();
-        let evidence = verdict::Evidence {
-            views: &chosen,
-            distinct: sights::distinct(&chosen, size),
-            bend: if config.flat_board { self.bend() } else { None },
-        };
+        let evidence = verdict::Evidence { views: &chosen, distinct: sights::distinct(&chosen, size) };
         (calibration.verdict, calibration.reasons) = verdict::judge(&calibration, &evidence);
         Ok(calibration)
     }
@@ -228,10 +228,9 @@ impl SolverOutcome {
         true
     }
 
-    /// The relative decrease of the RMS residual if the board shape is estimated too, and the
-    /// largest bend, metres. `None` if the decrease is insignificant, or for too few views or too
-    /// many points.
-    fn bend(&self) -> Option<(f64, f64)> {
+    /// What estimating the board shape too would gain. `None` if that is insignificant, or for too
+    /// few views or too many points.
+    fn bend(&self) -> Option<BendEvidence> {
         let points: usize = self.fit.views.iter().map(|&view| self.sights[view].len()).sum();
         if points > COMPARED_POINTS || self.fit.views.len() < 5 {
             return None;
@@ -244,8 +243,8 @@ impl SolverOutcome {
         Bundle { views: &views, unknowns: &bent.unknowns, noise_px }.minimise(&mut bent.state, 10);
         let (before_px, after_px) = (self.fit.rms_px(&self.sights), bent.rms_px(&self.sights));
         let gain = 1.0 - after_px / before_px;
-        let deepest = bent.state.shape[..3].iter().fold(0.0f64, |deepest, z| deepest.max(z.abs()));
-        (gain > 0.1 && before_px > 0.1).then_some((gain, deepest))
+        let depth_m = bent.state.shape[..3].iter().fold(0.0f64, |deepest, z| deepest.max(z.abs()));
+        (gain > 0.1 && before_px > 0.1).then_some(BendEvidence { gain, depth_m })
     }
 }
 

@@ -75,6 +75,18 @@ pub struct ModelComparison {
     /// Expected ray error from the covariance, RMS over the image, pixels
     /// ([`Calibration::expected_error_px`]).
     pub expected_error_px: f64,
+    /// The same with the misfit of the model that cross-validation shows: the model with the
+    /// smallest one is selected. Equal to `expected_error_px` if nothing was compared.
+    pub with_misfit_px: f64,
+}
+
+/// Evidence that the board was not flat, from a fit that estimates its [`BoardShape`] too.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct BendEvidence {
+    /// Relative decrease of the RMS residual.
+    pub gain: f64,
+    /// Largest bend, metres.
+    pub depth_m: f64,
 }
 
 /// Overall quality of a calibration.
@@ -124,6 +136,8 @@ pub struct Calibration {
     pub candidates: Vec<ModelComparison>,
     /// Estimated deformation of the board; `None` if the board was assumed flat.
     pub board_shape: Option<BoardShape>,
+    /// Set if the board was assumed flat, and the views show that it was not.
+    pub bend: Option<BendEvidence>,
     /// Overall quality.
     pub verdict: Verdict,
     /// Reasons for the verdict with advice, as text for users; the most severe first.

@@ -10,9 +10,6 @@ pub struct Evidence<'a> {
     pub views: &'a [&'a [BoardCorrespondence]],
     /// Number of distinct views.
     pub distinct: usize,
-    /// Relative decrease of the residuals if the board shape is estimated too, and the largest
-    /// bend, metres.
-    pub bend: Option<(f64, f64)>,
 }
 
 /// Thresholds that a handheld board can meet. Values in pixels are for an image diagonal of 800
@@ -55,10 +52,7 @@ pub fn judge(calibration: &Calibration, evidence: &Evidence<'_>) -> (Verdict, Ve
     let advised = all.iter().filter(|(verdict, _)| *verdict > Verdict::Good).count() > before;
     if error > Verdict::Good {
         let advice = if advised { "" } else { ": take more views, tilted, near and all over the image" };
-        all.push((
-            error,
-            format!("rays are expected to be {over_px:.2} px off on average over the image{advice}"),
-        ));
+        all.push((error, format!("the expected error of a ray is {over_px:.2} px over the image{advice}")));
     }
     let held_px = calibration.hold_out_rms_px;
     if held_px.is_finite() && held_px > 1.5 * calibration.rms_px && held_px > 0.3 * unit_px {
@@ -68,12 +62,12 @@ pub fn judge(calibration: &Calibration, evidence: &Evidence<'_>) -> (Verdict, Ve
         );
         all.push((Verdict::Usable, what));
     }
-    if let Some((share, bend_m)) = evidence.bend {
+    if let Some(bend) = calibration.bend {
         let what = format!(
             "the board seems to be bent by {:.1} mm or misprinted ({:.0} % less noise if that is allowed): fix it to something flat, or \
-             calibrate with a board that may be bent",
-            bend_m * 1e3,
-            share * 100.0
+             take the calibration with the bend estimated",
+            bend.depth_m * 1e3,
+            bend.gain * 100.0
         );
         all.push((Verdict::Good, what));
     }

@@ -122,7 +122,7 @@ pub struct SiteLinkArguments {
     ///
     /// Nothing waits for the network: what the site has not, the map keeps. `odograph site send`
     /// sends the rest later.
-    #[arg(help_heading = "Site", long, value_name = "URL", requires = "robot")]
+    #[arg(help_heading = "Site", long, value_name = "URL")]
     pub site: Option<SiteAddress>,
     /// Name of this robot, different from that of every other.
     #[arg(help_heading = "Site", long, value_name = "NAME")]
@@ -133,6 +133,31 @@ pub struct SiteLinkArguments {
 const PATIENCE: Duration = Duration::from_secs(20);
 
 impl SiteLinkArguments {
+    /// Fails where a site is given and the robot that sends to it has no name.
+    pub fn check(&self) -> Result<()> {
+        match (&self.site, &self.robot) {
+            (Some(_), None) => Err(Error::usage(
+                "--site needs the name of this robot, different from that of every other: --robot NAME",
+            )),
+            _ => Ok(()),
+        }
+    }
+
+    /// The same for the run that has begun in a folder, whose robot is the one it was begun with.
+    pub fn of_resumed(&self, begun_with: Option<&str>, folder: &Path) -> Result<Self> {
+        let (folder, site) = (folder.display(), self.site.clone());
+        match (begun_with, &self.robot) {
+            (Some(name), Some(other)) if name != other => Err(Error::usage(format!(
+                "the run in {folder} was begun as robot {name}, not {other}; leave --robot away"
+            ))),
+            (None, _) if site.is_some() || self.robot.is_some() => Err(Error::usage(format!(
+                "the run in {folder} was begun without the name of a robot, and a site cannot take its map; begin it \
+                 anew with --site, --robot and --force"
+            ))),
+            (name, _) => Ok(Self { site, robot: name.map(str::to_owned) }),
+        }
+    }
+
     /// Begins to send a map, where a site is given. What the site says last is in `site.json` of
     /// the folder.
     pub fn start(&self, map: &Path, folder: &Path, quiet: bool) -> Result<Option<RobotLink>> {

@@ -86,7 +86,8 @@ fn shown_in(document: &Path, text: &str) -> Vec<ShownCommand> {
 
 fn shown() -> Vec<ShownCommand> {
     let mut documents = vec![root().join("README.md"), root().join("CONTRIBUTING.md")];
-    let docs = fs::read_dir(root().join("docs")).unwrap().map(|entry| entry.unwrap().path());
+    let folders = ["docs", "docs/tutorials"].map(|folder| fs::read_dir(root().join(folder)).unwrap());
+    let docs = folders.into_iter().flatten().map(|entry| entry.unwrap().path());
     documents.extend(docs.filter(|path| path.extension().is_some_and(|ending| ending == "md")));
     documents.sort();
     documents.iter().flat_map(|path| shown_in(path, &fs::read_to_string(path).unwrap())).collect()
@@ -98,6 +99,38 @@ fn why_not_run(command: &str) -> Option<&'static str> {
         if is_within { command.contains(part) } else { command.starts_with(part) }
     };
     NOT_RUN.iter().find(|(part, _)| is_meant(part)).map(|(_, why)| *why)
+}
+
+/// Targets of the links in a document that are files of the project.
+fn linked_files(text: &str) -> Vec<&str> {
+    let targets = text.split("](").skip(1).filter_map(|rest| rest.split(')').next());
+    let files = targets.map(|target| target.split('#').next().unwrap_or_default());
+    files.filter(|target| !target.is_empty() && !target.contains("://")).collect()
+}
+
+#[test]
+fn the_table_of_contents_lists_every_document_once() {
+    let docs = root().join("docs");
+    let contents = fs::read_to_string(docs.join("README.md")).unwrap();
+    let listed = linked_files(&contents);
+    for folder in ["", "tutorials/"] {
+        for entry in fs::read_dir(docs.join(folder)).unwrap() {
+            let name = format!("{folder}{}", entry.unwrap().file_name().to_string_lossy());
+            if name.ends_with(".md") && name != "README.md" {
+                let times = listed.iter().filter(|listed| **listed == name).count();
+                assert_eq!(times, 1, "{name} in docs/README.md");
+            }
+        }
+    }
+    for document in ["docs/README.md", "docs/tutorials/agv.md", "docs/tutorials/mower.md"]
+        .into_iter()
+        .chain(["docs/tutorials/drone.md", "docs/tutorials/phone.md", "docs/tutorials/stage.md"])
+    {
+        let path = root().join(document);
+        for link in linked_files(&fs::read_to_string(&path).unwrap()) {
+            assert!(path.parent().unwrap().join(link).exists(), "{document} links to {link}");
+        }
+    }
 }
 
 #[test]

@@ -58,3 +58,11 @@ fn words_of_a_key_have_the_colour_of_text() {
     let keys: Vec<&str> = text.lines().filter(|line| line.starts_with(".key.")).collect();
     assert!(keys.len() >= 4 && keys.iter().all(|line| !line.contains(" color:")), "{keys:?}");
 }
+
+#[test]
+fn the_page_of_a_site_draws_paths_over_loops() {
+    let path = Path::new(env!("CARGO_MANIFEST_DIR")).join("../odograph-site/src/page/site.js");
+    let text = std::fs::read_to_string(path).unwrap();
+    let place = |what: &str| text.find(what).unwrap_or_else(|| panic!("{what} is not drawn"));
+    assert!(place("of state.loops) line(") < place("line(session.path)"));
+}

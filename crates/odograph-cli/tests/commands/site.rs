@@ -80,6 +80,23 @@ fn two_runs_share_the_map_of_a_site_that_was_killed() {
         sessions.len() == 2 && sessions.iter().all(|session| session["connected"] == true)
     };
     assert!((0..600).any(|_| connected()), "both robots saw the same ground");
+    // A killed run is run again as the robot that it was, and sent.
+    let mut killed =
+        odograph(folder, &format!("run {run} -o three --site {url} --robot three")).spawn().unwrap();
+    let frames = folder.join("three/trajectory.csv.part");
+    while std::fs::metadata(&frames).map_or(0, |frames| frames.len()) == 0 {
+        assert!(killed.try_wait().unwrap().is_none(), "it ended before it was killed");
+    }
+    killed.kill().unwrap();
+    killed.wait().unwrap();
+    let other = odograph(folder, &format!("run --resume three --site {url} --robot four")).output().unwrap();
+    let told = String::from_utf8(other.stderr).unwrap();
+    assert_eq!(other.status.code(), Some(2), "{told}");
+    assert!(told.contains("was begun as robot three, not four"), "{told}");
+    done(folder, &format!("run --resume three --site {url} --quiet"));
+    let status: Value =
+        serde_json::from_slice(&std::fs::read(folder.join("three/site.json")).unwrap()).unwrap();
+    assert_eq!(status["ended"], true);
     drop(serving);
     let info = done(folder, "map info hall/map.gpkg --json");
     let info: Value = serde_json::from_slice(&info.stdout).unwrap();
@@ -89,7 +106,7 @@ fn two_runs_share_the_map_of_a_site_that_was_killed() {
         .iter()
         .map(|session| session["origin"]["robot"].as_str().unwrap())
         .collect();
-    assert_eq!(robots, ["one", "two"]);
+    assert_eq!(robots[..2], ["one", "two"]);
     for wrong in ["run x.mp4 --site http://h/", "site send one/map.gpkg --site hall --robot one"] {
         assert_eq!(odograph(folder, wrong).output().unwrap().status.code(), Some(2), "{wrong}");
     }

@@ -12,7 +12,7 @@ const track = new Track();
 const map = new GroundMap($("map"), track);
 let camera = null, plots = null, calibration = null, introduction = null;
 let status = { phase: "running" };
-let live = true, playing = null, at = -1, ended = false, connected = false;
+let live = true, playing = null, at = -1, ended = false, connected = false, gone = false;
 
 // ---- socket
 
@@ -20,12 +20,15 @@ let pause = 500;
 function connect() {
   const socket = new WebSocket(`${location.protocol === "https:" ? "wss" : "ws"}://${location.host}/socket`);
   socket.binaryType = "arraybuffer";
-  socket.onopen = () => { pause = 500; connected = true; };
+  socket.onopen = () => { pause = 500; connected = true; showControls(); };
   socket.onmessage = event => typeof event.data === "string" ? told(JSON.parse(event.data)) : came(event.data);
   socket.onclose = () => {
     connected = false;
+    // After the end of the run the program ends too, and nothing can be had from it any more.
+    if (introduction && ended) { gone = true; leave(); }
     showState();
-    if (introduction && ended) return;
+    showControls();
+    if (gone) return;
     setTimeout(connect, pause);
     pause = Math.min(2 * pause, 8000);
   };
@@ -43,7 +46,10 @@ function came(bytes) {
 function told(message) {
   if (message.kind === "hello") greet(message.introduction);
   else if (message.kind === "status") { status = message.status; showStatus(); }
-  else if (message.kind === "marks") { map.marks.push(...message.marks); map.changed = true; document.body.dataset.marks = map.marks.length; }
+  else if (message.kind === "marks") { map.marks.splice(message.first, message.marks.length, ...message.marks); map.changed = true; document.body.dataset.marks = map.marks.length; }
+  else if (message.kind === "replaced") { track.clear(); distances.count = 0; last = -1; map.drawn = null; document.body.dataset.replaced = 1; }
+  else if (message.kind === "elevations") showElevations(message.elevations);
+  else if (message.kind === "mask") { offer("mask"); camera?.setMask(message.mask); document.body.dataset.mask = message.mask.cells.split("1").length - 1; }
   else if (message.kind === "calibration") { calibration?.show(message.calibration); showState(); }
   else if (message.kind === "map") {
     map.setGraph(message.map);
@@ -62,6 +68,7 @@ function greet(hello) {
   $("title").textContent = hello.title;
   $("title").title = hello.source;
   document.body.classList.toggle("finished", !hello.live);
+  $("recovered").hidden = !hello.recovered;
   if (again) return;
   if (hello.live) camera = new CameraView($("camera"), hello.width, hello.height);
   if (hello.calibration) {
@@ -69,6 +76,7 @@ function greet(hello) {
     document.body.classList.add("calibrating");
     $("board").hidden = false;
     $("stop").title = "Calibrate with what was seen so far";
+    $("ask-what").textContent = "The camera is calibrated with what was seen so far.";
     $("camera").setAttribute("aria-label", "The camera's picture: the board's points, and which parts of the picture have seen it");
     return;
   }
@@ -87,19 +95,38 @@ function showStatus() {
   ended = ["saved", "failed"].includes(status.phase);
   $("message").hidden = !status.message;
   $("message").textContent = status.message || "";
-  $("stop").disabled = $("mark").disabled = status.phase === "saving" || ended;
+  showControls();
   $("fps").textContent = status.fps.toFixed(0);
   $("dropped").textContent = status.dropped;
   $("latency").textContent = status.latency_median_ms.toFixed(1);
   $("latency99").textContent = status.latency_p99_ms.toFixed(1);
   document.body.dataset.phase = status.phase;
-  if (ended && introduction?.live) { showFiles(true); if (live) leaveLive(); }
+  if (ended && introduction?.live) { showFiles(true); if (live) { leaveLive(); showPlaying(); } }
+  else if (ended) showReport();
   showState();
+}
+
+/// What cannot be done is off: after the end nothing is marked, and without the program nothing is
+/// had from it.
+function showControls() {
+  const over = !connected || status.phase === "saving" || ended;
+  $("stop").disabled = $("mark").disabled = over;
+  $("files").disabled = gone;
+  $("live").disabled = ended;
+  if (over) { $("naming").hidden = true; $("ask").close(); }
+}
+
+/// Takes away what led to the program that has ended.
+function leave() {
+  $("downloads").hidden = $("report").hidden = true;
+  $("files").setAttribute("aria-expanded", false);
+  document.body.dataset.gone = 1;
 }
 
 function showState() {
   const state = $("state");
   const say = (text, tone) => { if (state.textContent !== text) state.textContent = text; state.dataset.tone = tone; };
+  if (gone) return say(status.phase === "failed" ? "ended with an error; program ended" : introduction.live ? "saved; program ended" : "program ended", status.phase === "failed" ? "bad" : "wait");
   if (!connected && !ended) return say(introduction ? "no connection" : "connecting", "wait");
   if (introduction && !introduction.live) return lost(at) ? say(`lost: ${lost(at)}`, "bad") : say("tracked", "good");
   if (status.phase === "saving") return say("writing the results", "warn");
@@ -150,7 +177,7 @@ function showFigures() {
 
 function seek(k) { leaveLive(); at = Math.max(0, Math.min(k, track.count - 1)); playing = null; showPlaying(); }
 function leaveLive() { live = false; $("live").setAttribute("aria-pressed", "false"); }
-function goLive() { live = true; playing = null; $("live").setAttribute("aria-pressed", "true"); showPlaying(); }
+function goLive() { if (ended) return; live = true; playing = null; $("live").setAttribute("aria-pressed", "true"); showPlaying(); }
 function showPlaying() {
   const running = playing || live;
   $("play").textContent = running ? "❚❚" : "▶";
@@ -166,7 +193,7 @@ function togglePlay() {
   showPlaying();
 }
 
-let plotted = 0, last = -1;
+let plotted = 0, last = -1, counted = 0;
 function frame(now) {
   if (track.count) {
     if (live) at = track.count - 1;
@@ -174,9 +201,10 @@ function frame(now) {
       at = track.at(playing.from + (now - playing.since) / 1000);
       if (at >= track.count - 1) { playing = null; showPlaying(); }
     }
-    at = Math.max(0, at);
+    at = Math.max(0, Math.min(at, track.count - 1));
     map.show(at);
-    if (at !== last || live) { last = at; showFigures(); showState(); }
+    // While it is paused the run goes on, and with it the time of its newest frame.
+    if (at !== last || live || track.count !== counted) { last = at; counted = track.count; showFigures(); showState(); }
     if (plots && now - plotted > 150) {
       plotted = now;
       const end = track.get(track.count - 1, "t");
@@ -190,12 +218,21 @@ function frame(now) {
 
 // ---- controls
 
+const list = async () => {
+  const told = await fetch("/files").then(answer => answer.json()).catch(() => ({ files: [], zip: null, report: false }));
+  $("zip").hidden = !told.zip;
+  $("report").hidden = !told.report;
+  return told;
+};
+const showReport = () => { if (!gone) list(); };
+const size = bytes => bytes > 1e6 ? `${(bytes / 1e6).toFixed(1)} MB` : `${Math.ceil(bytes / 1e3)} kB`;
+
 async function showFiles(open) {
   $("downloads").hidden = !open;
   $("files").setAttribute("aria-expanded", open);
   if (!open) return;
-  const files = await (await fetch("/files")).json().catch(() => []);
-  const size = bytes => bytes > 1e6 ? `${(bytes / 1e6).toFixed(1)} MB` : `${Math.ceil(bytes / 1e3)} kB`;
+  const { files, zip } = await list();
+  $("zip").textContent = `Everything as one zip (${size(zip || 0)})`;
   $("downloads").querySelector("ul").replaceChildren(...files.map(file => {
     const item = document.createElement("li"), link = document.createElement("a"), small = document.createElement("small");
     link.href = `/files/${file.name.split("/").map(encodeURIComponent).join("/")}`; link.download = file.name.split("/").pop(); link.textContent = file.name;
@@ -207,12 +244,44 @@ async function showFiles(open) {
 }
 
 const post = (path, body = "") => fetch(path, { method: "POST", body }).catch(() => {});
-const mark = () => { if (introduction?.live && !ended) post("/mark"); };
+// The place is marked at once; its name may take longer to type.
+async function mark() {
+  if (!introduction?.live || $("mark").disabled) return;
+  const answer = await post("/mark");
+  if (!answer?.ok) return;
+  const { index, mark } = await answer.json();
+  $("naming").hidden = false;
+  $("naming").dataset.index = index;
+  $("mark-number").textContent = mark.name;
+  $("mark-name").value = "";
+  $("mark-name").focus();
+}
+function ask() { if (!$("stop").disabled) $("ask").showModal(); }
+
+// ---- layers
+
+function offer(layer) { document.querySelector(`[data-layer=${layer}]`).parentElement.hidden = false; }
+function showElevations(points) {
+  offer("elevations");
+  map.setElevations(points);
+  const heights = points.map(point => point[2]);
+  const mm = metres => `${Math.round(1000 * metres)}`;
+  $("elevation-range").textContent = `(${mm(heights.reduce((a, b) => Math.min(a, b)))} to ${mm(heights.reduce((a, b) => Math.max(a, b)))} mm)`;
+  document.body.dataset.elevations = points.length;
+}
+for (const box of document.querySelectorAll("[data-layer]")) box.onchange = () => {
+  if (box.dataset.layer === "mask") { if (camera) camera.masked = box.checked; }
+  else { map.shown[box.dataset.layer] = box.checked; map.drawn = null; map.changed = true; }
+};
+$("layers").onclick = () => { $("shown").hidden = !$("shown").hidden; $("layers").setAttribute("aria-expanded", !$("shown").hidden); };
 const setFollow = follow => { map.setFollow(follow); $("follow").setAttribute("aria-pressed", follow); };
 map.onUnfollow = () => $("follow").setAttribute("aria-pressed", "false");
 
 $("mark").onclick = mark;
-$("stop").onclick = () => { $("stop").disabled = true; post("/stop"); };
+$("stop").onclick = ask;
+$("ask").onclose = () => { if ($("ask").returnValue === "stop") { $("stop").disabled = true; post("/stop"); } $("ask").returnValue = ""; };
+$("naming").onsubmit = event => { event.preventDefault(); post(`/mark/${$("naming").dataset.index}`, $("mark-name").value); $("naming").hidden = true; $("map").focus(); };
+$("unnamed").onclick = () => { $("naming").hidden = true; $("map").focus(); };
 $("files").onclick = () => showFiles($("downloads").hidden);
 $("keys").onclick = () => $("help").showModal();
 $("closer").onclick = () => map.zoom(1.5);
@@ -225,7 +294,8 @@ $("play").onclick = togglePlay;
 matchMedia("(prefers-color-scheme: dark)").addEventListener("change", () => { map.drawn = null; map.changed = true; });
 
 addEventListener("keydown", event => {
-  if (event.ctrlKey || event.metaKey || event.altKey || $("help").open) return;
+  if (event.ctrlKey || event.metaKey || event.altKey || $("help").open || $("ask").open) return;
+  if (event.target === $("mark-name")) { if (event.key === "Escape") $("unnamed").click(); return; }
   const act = {
     " ": togglePlay, l: () => introduction?.live && goLive(), f: () => setFollow(!map.follow), 0: () => map.showAll(), "+": () => map.zoom(1.3), "=": () => map.zoom(1.3),
     "-": () => map.zoom(1 / 1.3), m: mark, ",": () => seek(at - 1), ".": () => seek(at + 1), "?": () => $("help").showModal(),

@@ -12,6 +12,8 @@ export class CameraView {
     this.busy = false;
     this.shown = 0;
     this.overlay = null;
+    this.mask = null;
+    this.masked = true;
   }
 
   /// Shows an image. While one is being decoded, only the newest of the following ones is kept.
@@ -38,11 +40,21 @@ export class CameraView {
     image.close();
   }
 
+  /// Sets what of the image is not ground: cells in row order, `1` where they are not.
+  setMask(mask) { this.mask = mask; }
+
+  drawMask(c, width, height) {
+    const { columns, rows, cells } = this.mask, w = width / columns, h = height / rows;
+    c.fillStyle = "rgb(232 89 12 / .45)";
+    for (let k = 0; k < cells.length; k++) if (cells[k] === "1") c.fillRect(k % columns * w, Math.floor(k / columns) * h, w + .5, h + .5);
+  }
+
   /// Draws an image with its tracks: five numbers each, the first four in quarters of a pixel.
   paint(image, tracks) {
     const c = this.context, { width, height } = this.canvas, count = tracks.length / 5;
     c.drawImage(image, 0, 0, width, height);
     this.overlay?.(c, width, height);
+    if (this.mask && this.masked) this.drawMask(c, width, height);
     const scale = width / this.size.width / 4, r = Math.max(1.8, width / 300);
     let good = 0;
     for (const inlier of [0, 1]) {

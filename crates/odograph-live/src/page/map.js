@@ -36,6 +36,8 @@ export class GroundMap {
     this.fetching = 0;
     this.marks = [];
     this.graph = { keyframes: [], loops: [] };
+    this.elevations = [];
+    this.shown = { ground: true, path: true, keyframes: true, marks: true, elevations: true };
     this.follow = true;
     this.fits = this.unfitted = false;
     this.view = { x: 0, y: 0, scale: 160 };
@@ -71,6 +73,8 @@ export class GroundMap {
       layer = { metresPerPixel, tiles: new Map(), wanted: new Map() };
       this.layers.push(layer);
     }
+    // After a reconnect all tiles are sent again.
+    if (!layer.wanted.size && !this.fetching) layer.isPart = false;
     for (const [column, row] of tiles) layer.wanted.set(`${column}/${row}`, { column, row });
     this.fetchTiles();
   }
@@ -90,14 +94,21 @@ export class GroundMap {
       const [key, tile] = next;
       layer.wanted.delete(key);
       this.fetching++;
-      const image = new Image();
-      layer.version = (layer.version || 0) + 1;
-      image.src = `/tiles/${tile.column}/${tile.row}.png?v=${layer.version}`;
-      image.decode().then(() => { layer.tiles.set(key, { ...tile, image, seen: seenPart(image) }); this.fit(); document.body.dataset.tiles = this.tileCount; },
-        // The tile no longer exists: a loop closure has moved the ground elsewhere.
-        () => { layer.tiles.delete(key); this.changed = true; }).finally(() => {
+      fetch(`/tiles/${tile.column}/${tile.row}.png`).then(async answer => {
+        if (answer.status === 200) {
+          const image = await createImageBitmap(await answer.blob());
+          layer.tiles.set(key, { ...tile, image, seen: seenPart(image) });
+          this.fit();
+          document.body.dataset.tiles = this.tileCount;
+        } else if (answer.status === 204) {
+          // The tile no longer exists: a loop closure has moved the ground elsewhere.
+          layer.tiles.delete(key);
+          this.changed = true;
+        } else layer.isPart = true;
+        // Without an answer what was there stays, and the layer below.
+      }).catch(() => { layer.isPart = true; }).finally(() => {
         this.fetching--;
-        if (!layer.wanted.size && !this.fetching && this.layers.length > 1) { this.layers = [this.layers.at(-1)]; this.changed = true; }
+        if (!layer.wanted.size && !this.fetching && this.layers.length > 1 && !layer.isPart) { this.layers = [this.layers.at(-1)]; this.changed = true; }
         this.fetchTiles();
       });
     }
@@ -206,11 +217,12 @@ export class GroundMap {
     c.setTransform(this.ratio, 0, 0, this.ratio, 0, 0);
     c.clearRect(0, 0, this.width, this.height);
     this.drawGrid(c, color("--grid"));
-    this.drawGround(c);
+    if (this.shown.ground) this.drawGround(c);
+    if (this.shown.elevations) this.drawElevations(c);
     c.imageSmoothingEnabled = true;
-    c.drawImage(this.pathLayer, ...this.drawPath(color("--path")));
-    this.drawGraph(c, color("--path"), color("--mark"));
-    this.drawMarks(c, color("--mark"), color("--card"));
+    if (this.shown.path) c.drawImage(this.pathLayer, ...this.drawPath(color("--path")));
+    if (this.shown.keyframes) this.drawGraph(c, color("--path"), color("--mark"));
+    if (this.shown.marks) this.drawMarks(c, color("--mark"), color("--card"));
     if (place >= 0) this.drawCamera(c, place, place === this.at, color);
     this.drawScale(c, color("--ink"), color("--card"));
   }
@@ -285,6 +297,23 @@ export class GroundMap {
     context.strokeStyle = "#ffffffd0"; context.lineWidth = 5; context.stroke();
     context.strokeStyle = color; context.lineWidth = 2.6; context.stroke();
     return this.layerPlace();
+  }
+
+  /// Sets places on the ground with their elevations, metres.
+  setElevations(elevations) { this.elevations = elevations; this.changed = true; }
+
+  /// Dots from blue (low) over white to orange (high).
+  drawElevations(c) {
+    if (!this.elevations.length) return;
+    const most = this.elevations.reduce((most, point) => Math.max(most, Math.abs(point[2])), 1e-3);
+    const radius = Math.min(5, Math.max(1.5, .02 * this.view.scale));
+    for (const [x, y, z] of this.elevations) {
+      const px = this.toX(x), py = this.toY(y);
+      if (px < -9 || py < -9 || px > this.width + 9 || py > this.height + 9) continue;
+      const share = Math.round(100 * Math.abs(z) / most);
+      c.fillStyle = `color-mix(in srgb, ${z < 0 ? "#2563eb" : "#e8590c"} ${share}%, #ffffff)`;
+      c.fillRect(px - radius, py - radius, 2 * radius, 2 * radius);
+    }
   }
 
   drawGraph(c, dot, tie) {

@@ -43,6 +43,14 @@ export class Track {
     this.count = end;
   }
 
+  /// Forgets all records.
+  clear() {
+    this.count = 0;
+    this.corrections = null;
+    this.chunks = [];
+    this.bounds = null;
+  }
+
   /// Applies the map's corrections after a loop closure to all frames.
   correct(corrections) {
     this.corrections = corrections.length ? corrections : null;

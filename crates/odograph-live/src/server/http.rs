@@ -208,6 +208,9 @@ pub(super) fn read_head(bytes: &[u8]) {
     }
 }
 
+/// What the page may load and run: its own files.
+const PAGE_POLICY: &str = "default-src 'self'; img-src 'self' blob: data:; style-src 'self' 'unsafe-inline'; frame-ancestors 'none'";
+
 /// An HTTP response.
 #[derive(Debug, Default)]
 pub struct Answer {
@@ -217,6 +220,8 @@ pub struct Answer {
     pub reason: &'static str,
     /// Media type of the body.
     pub content_type: &'static str,
+    /// Content security policy; `None` for that of the page.
+    pub policy: Option<&'static str>,
     /// Further headers.
     pub headers: Vec<(&'static str, String)>,
     /// The body.
@@ -226,7 +231,7 @@ pub struct Answer {
 impl Answer {
     /// A successful response.
     pub fn ok(content_type: &'static str, body: impl Into<Vec<u8>>) -> Self {
-        Self { status: 200, reason: "OK", content_type, headers: Vec::new(), body: body.into() }
+        Self { status: 200, reason: "OK", content_type, policy: None, headers: Vec::new(), body: body.into() }
     }
 
     /// A successful response that has no content.
@@ -237,7 +242,7 @@ impl Answer {
     /// A response that says why a request is refused.
     pub fn refusal(HttpRefusal(status, reason): HttpRefusal) -> Self {
         let body = format!("{reason}\n").into_bytes();
-        Self { status, reason, content_type: "text/plain; charset=utf-8", headers: Vec::new(), body }
+        Self { status, reason, content_type: "text/plain; charset=utf-8", body, ..Self::default() }
     }
 
     /// The same with a further header.
@@ -259,7 +264,7 @@ impl Answer {
         // caches nothing.
         head +=
             "Cache-Control: no-store\r\nX-Content-Type-Options: nosniff\r\nReferrer-Policy: no-referrer\r\n";
-        head += "Content-Security-Policy: default-src 'self'; img-src 'self' blob: data:; style-src 'self' 'unsafe-inline'; frame-ancestors 'none'\r\n";
+        head += &format!("Content-Security-Policy: {}\r\n", self.policy.unwrap_or(PAGE_POLICY));
         for (name, value) in &self.headers {
             head += &format!("{name}: {value}\r\n");
         }
@@ -299,6 +304,11 @@ pub fn refuse(mut stream: Deadlined, refusal: HttpRefusal) -> io::Result<()> {
         }
     }
     Ok(())
+}
+
+/// File names come from the command line. Characters that a header value cannot hold are replaced.
+pub(super) fn safe_in_header(letter: char) -> char {
+    if letter.is_ascii_graphic() && !matches!(letter, '"' | '\\') || letter == ' ' { letter } else { '_' }
 }
 
 #[cfg(test)]

@@ -6,6 +6,7 @@
 //! so a client can only slow down itself.
 
 pub mod access;
+mod archive;
 pub mod deadline;
 pub mod http;
 pub mod listener;

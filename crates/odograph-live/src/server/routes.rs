@@ -2,10 +2,12 @@
 
 use super::LiveServerState;
 use super::access::AccessVerdict;
+use super::archive::Archive;
 use super::deadline::Deadlined;
-use super::http::{ANSWER_PATIENCE, Answer, HttpRefusal, Method, Request};
+use super::http::{ANSWER_PATIENCE, Answer, HttpRefusal, Method, Request, safe_in_header};
 use crate::ground::tile_png;
-use crate::record::TrackRecord;
+use crate::shown::Phase;
+use odograph::formats::track_record::TrackRecord;
 use odograph::mosaic::MosaicSquare;
 use serde_json::json;
 use std::fs::File;
@@ -62,6 +64,14 @@ pub fn answer(shared: &LiveServerState, request: &Request, stream: &mut Deadline
                 None => Answer::refusal(NOT_FOUND),
             }
         }
+        (_, Method::Get | Method::Head, "/report") => match report(shared) {
+            Some((file, _)) => return send_report(file, request, stream).map(|()| Next::Request),
+            None => Answer::refusal(NOT_FOUND),
+        },
+        (_, Method::Get | Method::Head, "/all.zip") => match archive(shared) {
+            Some(archive) => return send_archive(&archive, request, stream).map(|()| Next::Request),
+            None => Answer::refusal(NOT_FOUND),
+        },
         (_, Method::Get | Method::Head, path) => get(shared, path),
         (_, Method::Post, path) => post(shared, request, path),
     };
@@ -84,7 +94,14 @@ fn get(shared: &LiveServerState, path: &str) -> Answer {
             });
             Some(Answer::ok(JSON, state.to_string()))
         }
-        "/files" => Some(Answer::ok(JSON, json!(files(shared)).to_string())),
+        "/files" => {
+            let files = json!({
+                "files": files(shared),
+                "zip": archive(shared).map(|archive| archive.length()),
+                "report": report(shared).is_some(),
+            });
+            Some(Answer::ok(JSON, files.to_string()))
+        }
         "/marks" => Some(Answer::ok(JSON, json!(hub.marks_from(0)).to_string())),
         "/picture.jpg" => hub.view().map(|view| Answer::ok("image/jpeg", view.jpeg.clone())),
         _ => tile(path).map(|tile| match hub.ground().tile_rgba(tile) {
@@ -99,9 +116,17 @@ fn get(shared: &LiveServerState, path: &str) -> Answer {
 fn post(shared: &LiveServerState, request: &Request, path: &str) -> Answer {
     match path {
         "/mark" => match shared.hub.mark(&String::from_utf8_lossy(&request.body)) {
-            Some(mark) => Answer::ok(JSON, json!(mark).to_string()),
+            Some((index, mark)) => Answer::ok(JSON, json!({ "index": index, "mark": mark }).to_string()),
             None => Answer::refusal(HttpRefusal(409, "Conflict")),
         },
+        _ if path.starts_with("/mark/") => {
+            let index = path["/mark/".len()..].parse().ok();
+            let name = String::from_utf8_lossy(&request.body);
+            match index.and_then(|index| shared.hub.rename_mark(index, &name)) {
+                Some(mark) => Answer::ok(JSON, json!(mark).to_string()),
+                None => Answer::refusal(HttpRefusal(409, "Conflict")),
+            }
+        }
         "/stop" => {
             shared.hub.ask_to_stop();
             Answer::ok(JSON, "{}")
@@ -144,10 +169,60 @@ fn send_file(mut file: File, name: &str, request: &Request, stream: &mut Deadlin
         Some("gpkg") => "application/geopackage+sqlite3",
         _ => "text/plain; charset=utf-8",
     };
-    // The report is self-contained. Served as a download it cannot act with this page's origin.
     let plain: String = name.rsplit('/').next().unwrap_or(name).chars().map(safe_in_header).collect();
     let answer =
         Answer::ok(content_type, []).with("Content-Disposition", format!("attachment; filename=\"{plain}\""));
+    send_contents(&mut file, length, &answer, request, stream)
+}
+
+/// Whether the files of the run are complete.
+fn is_over(shared: &LiveServerState) -> bool {
+    matches!(shared.hub.status().phase, Phase::Saved | Phase::Failed)
+}
+
+/// The report among the files.
+fn report(shared: &LiveServerState) -> Option<(File, &str)> {
+    let name = shared.options.files.iter().find(|name| name.rsplit('/').next() == Some("report.html"))?;
+    file(shared, name).filter(|_| is_over(shared))
+}
+
+/// All files as one.
+fn archive(shared: &LiveServerState) -> Option<Archive> {
+    let folder = shared.options.folder.as_ref().filter(|_| is_over(shared))?;
+    Archive::of(folder, &shared.options.files)
+}
+
+/// Sends the report to be looked at. It is self-contained, and in a sandbox it has an origin of its
+/// own: it cannot act with that of this page.
+fn send_report(mut file: File, request: &Request, stream: &mut Deadlined) -> io::Result<()> {
+    const POLICY: &str = "sandbox allow-scripts allow-popups; default-src 'none'; img-src data:; \
+                          style-src 'unsafe-inline'; script-src 'unsafe-inline'; frame-ancestors 'none'";
+    let length = file.metadata()?.len();
+    let answer = Answer { policy: Some(POLICY), ..Answer::ok("text/html; charset=utf-8", []) };
+    send_contents(&mut file, length, &answer, request, stream)
+}
+
+fn send_archive(archive: &Archive, request: &Request, stream: &mut Deadlined) -> io::Result<()> {
+    let answer = Answer::ok("application/zip", [])
+        .with("Content-Disposition", format!("attachment; filename=\"{}.zip\"", archive.name()));
+    stream.allow(ANSWER_PATIENCE);
+    stream.write_all(answer.head(archive.length(), request.keep_alive).as_bytes())?;
+    if request.method == Method::Head {
+        return Ok(());
+    }
+    archive.write(&mut |bytes| {
+        stream.allow(ANSWER_PATIENCE);
+        stream.write_all(bytes)
+    })
+}
+
+fn send_contents(
+    file: &mut File,
+    length: u64,
+    answer: &Answer,
+    request: &Request,
+    stream: &mut Deadlined,
+) -> io::Result<()> {
     stream.allow(ANSWER_PATIENCE);
     stream.write_all(answer.head(length, request.keep_alive).as_bytes())?;
     if request.method == Method::Head {
@@ -176,11 +251,6 @@ fn encoded(name: &str) -> String {
         }
         text
     })
-}
-
-/// File names come from the command line. Characters that a header value cannot hold are replaced.
-fn safe_in_header(letter: char) -> char {
-    if letter.is_ascii_graphic() && !matches!(letter, '"' | '\\') || letter == ' ' { letter } else { '_' }
 }
 
 /// The response that upgrades a connection to a WebSocket (RFC 6455, section 4.2.2).

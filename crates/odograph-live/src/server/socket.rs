@@ -70,6 +70,9 @@ fn gone(socket: &mut WebSocket<Deadlined>) -> bool {
 
 fn messages(news: &News) -> Vec<Message> {
     let mut messages = Vec::new();
+    if news.replaced {
+        messages.push(Message::text(json!({ "kind": "replaced" }).to_string()));
+    }
     if let Some((first, records)) = &news.records {
         let mut bytes = vec![RECORDS, 0, 0, 0];
         bytes.extend((*first as u32).to_le_bytes());
@@ -82,8 +85,9 @@ fn messages(news: &News) -> Vec<Message> {
     if let Some(status) = &news.status {
         messages.push(Message::text(json!({ "kind": "status", "status": status }).to_string()));
     }
-    if !news.marks.is_empty() {
-        messages.push(Message::text(json!({ "kind": "marks", "marks": news.marks }).to_string()));
+    let (first, marks) = &news.marks;
+    if !marks.is_empty() {
+        messages.push(Message::text(json!({ "kind": "marks", "first": first, "marks": marks }).to_string()));
     }
     messages.extend(news.notices.iter().map(|notice| Message::text(&**notice)));
     if let Some((metres_per_pixel, tiles)) = &news.ground {

@@ -3,10 +3,12 @@
 mod drawing;
 mod lens;
 mod page;
+mod thumbnail;
 mod views;
 
 pub use lens::{ExpectedError, pixels_text};
-pub use page::{BoardDetections, CalibrationReport, lens_name};
+pub use page::{BentBoard, BoardDetections, CalibrationReport, lens_name};
+pub use thumbnail::Thumbnail;
 pub use views::{ReprojectionError, ShownView};
 
 /// Style rules in addition to those of all pages.

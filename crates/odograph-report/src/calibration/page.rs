@@ -61,15 +61,31 @@ pub struct CalibrationReport<'a> {
     /// Why; sentences.
     pub reasons: &'a [String],
     /// All views given to the calibration, used or not.
-    pub views: &'a [ShownView],
-    /// How far pixels are probably off.
+    pub views: &'a [ShownView<'a>],
+    /// Expected error of a ray, root mean square over the image, pixels: the figure that the camera
+    /// file has.
+    pub expected_error_px: f64,
+    /// The same by place.
     pub expected_error: &'a ExpectedError,
+    /// The calibration with the bend of the board estimated, if the board seems to be bent.
+    pub bent_board: Option<BentBoard<'a>>,
     /// What is still missing.
     pub guidance: &'a Guidance,
     /// Warnings about the input; sentences.
     pub warnings: &'a [String],
     /// Name of the camera file.
     pub camera_file: &'a str,
+}
+
+/// What there is beside a calibration that took the board for flat.
+#[derive(Debug, Clone, Copy)]
+pub struct BentBoard<'a> {
+    /// Name of its camera file, in the folder of the report.
+    pub file: &'a str,
+    /// Root mean square residual over the used views, pixels.
+    pub rms_px: f64,
+    /// Expected error of a ray over the image, pixels.
+    pub expected_error_px: f64,
 }
 
 /// A drawing with its file name, title and caption.
@@ -146,7 +162,7 @@ impl CalibrationReport<'_> {
                 file: "coverage.png",
                 title: "Coverage",
                 says: format!(
-                    "Every corner seen in the views (orange: left out); {:.0} % of the image's cells have seen one.",
+                    "Every corner seen in the views (orange: left out). The stronger the colour of a cell, the more it has seen; those with a dashed border, none. {:.0} % have seen one.",
                     100.0 * self.guidance.coverage.share()
                 ),
                 drawing: views::coverage(self.size(), self.views, &self.guidance.coverage),
@@ -199,6 +215,7 @@ impl CalibrationReport<'_> {
             .iter()
             .filter(|named| named.file == "views.png")
             .for_each(|named| figure(named, true, &mut page));
+        self.thumbnails(&mut page);
         self.left_out(&mut page);
         let _ = write!(
             page,
@@ -223,6 +240,15 @@ impl CalibrationReport<'_> {
             }
             page.push_str("</ul>");
         }
+        if let Some(BentBoard { file, rms_px, expected_error_px }) = self.bent_board {
+            let _ = write!(
+                page,
+                "<p>The same views with the bend of the board estimated have an error of the corners of {} and an expected error of \
+                 {}: <a href=\"{file}\">{file}</a> is that camera file.</p>",
+                pixels_text(rms_px),
+                pixels_text(expected_error_px)
+            );
+        }
         page.push_str("</div>\n");
     }
 
@@ -242,14 +268,16 @@ impl CalibrationReport<'_> {
             ),
             page,
         );
-        if let Some((median, worst)) = self.expected_error.median_and_worst_px() {
-            card(
-                "Error to expect in use",
-                &pixels_text(median),
-                &format!("Median over the image; at the worst place {}.", pixels_text(worst)),
-                page,
-            );
-        }
+        let worst = self
+            .expected_error
+            .worst_px()
+            .map_or_else(String::new, |worst| format!("; at the worst place {}", pixels_text(worst)));
+        card(
+            "Expected error of a ray",
+            &pixels_text(self.expected_error_px),
+            &format!("Root mean square over the image{worst}."),
+            page,
+        );
         card(
             "Views",
             &format!("{}", self.used()),
@@ -347,10 +375,12 @@ impl CalibrationReport<'_> {
             return;
         }
         page.push_str(
-            "<h2>Lens models that were tried</h2>\n<p>Each was fitted to part of the views and judged by the others, which it had not \
-             seen. More coefficients always fit better; what counts is how well new views are predicted.</p>\n\
-             <div class=\"box scroll\"><table class=\"figures\"><tr><th>Model</th><th class=\"number\">held-out views</th>\
-             <th class=\"number\">fitted views</th><th class=\"number\">expected error, RMS</th></tr>\n",
+            "<h2>Lens models that were tried</h2>\n<p>Chosen is the one whose rays are surest over the whole image: the expected error of \
+             a ray, which grows with every coefficient, and the misfit, which views that the model had not seen show. More \
+             coefficients always fit better.</p>\n\
+             <div class=\"box scroll\"><table class=\"figures\"><tr><th>Model</th><th class=\"number\">fitted views</th>\
+             <th class=\"number\">held-out views</th><th class=\"number\">expected error</th>\
+             <th class=\"number\">with misfit</th></tr>\n",
         );
         for candidate in self.candidates {
             let chosen = candidate.model == self.model;
@@ -358,16 +388,39 @@ impl CalibrationReport<'_> {
             let pixels = |value: f64| if value.is_finite() { pixels_text(value) } else { "failed".into() };
             let _ = writeln!(
                 page,
-                "<tr><td class=\"name{class}\">{}{}</td><td class=\"number{class}\">{}</td><td class=\"number\">{}</td>\
-                 <td class=\"number\">{}</td></tr>",
+                "<tr><td class=\"name{class}\">{}{}</td><td class=\"number\">{}</td><td class=\"number\">{}</td>\
+                 <td class=\"number\">{}</td><td class=\"number{class}\">{}</td></tr>",
                 if chosen { "→ " } else { "" },
                 lens_name(candidate.model),
-                pixels(candidate.hold_out_rms_px),
                 pixels(candidate.rms_px),
+                pixels(candidate.hold_out_rms_px),
                 pixels(candidate.expected_error_px),
+                pixels(candidate.with_misfit_px),
             );
         }
         page.push_str("</table></div>\n");
+    }
+
+    /// The views as small pictures, each with its error or why it was left out.
+    fn thumbnails(&self, page: &mut String) {
+        let shown = self.views.iter().filter_map(|view| Some((view, view.thumbnail?)));
+        let mut figures = String::new();
+        for (view, thumbnail) in shown {
+            let name = escape(&view.name);
+            let (class, says) = match view.why_not {
+                Some(_) => (" out", "left out"),
+                None => ("", "used"),
+            };
+            let _ = writeln!(
+                figures,
+                "<figure class=\"view{class}\">{}<figcaption>{name}<span>{says}, {}</span></figcaption></figure>",
+                thumbnail.element(&name),
+                pixels_text(view.rms_px)
+            );
+        }
+        if !figures.is_empty() {
+            let _ = writeln!(page, "<div class=\"views\">\n{figures}</div>");
+        }
     }
 
     /// Views that were detected but not used, and images without a detection.

@@ -1,6 +1,7 @@
 use super::*;
 use odograph::camera::{Camera, Distortion};
 use odograph::geometry::Pixel;
+use odograph::image::GrayImage;
 use odograph_calibration::selection::{Direction, Guidance, Hint, Region, ViewCoverage};
 use odograph_calibration::{LensModel, ModelComparison, Parameter, Verdict};
 
@@ -15,7 +16,7 @@ fn random(state: &mut u32) -> f64 {
     f64::from(*state >> 8) / f64::from(1 << 23) - 1.0
 }
 
-fn views(count: usize) -> Vec<ShownView> {
+fn views(count: usize, thumbnail: &Thumbnail) -> Vec<ShownView<'_>> {
     let mut state = 7;
     (0..count)
         .map(|n| {
@@ -33,6 +34,7 @@ fn views(count: usize) -> Vec<ShownView> {
                 .collect();
             ShownView {
                 name: format!("left{n:02}.jpg"),
+                thumbnail: Some(thumbnail),
                 residuals,
                 rms_px: if n == 4 { 3.7 } else { 0.15 + 0.01 * (n % 7) as f64 },
                 why_not: (n == 4).then(|| "its corners are 3.7 px off, the others' 0.2 px".to_owned()),
@@ -59,6 +61,7 @@ fn with_report<T>(verdict: Verdict, use_it: impl FnOnce(&CalibrationReport<'_>) 
         hold_out_rms_px,
         rms_px,
         expected_error_px: 0.1,
+        with_misfit_px: 0.12,
     };
     let candidates = [
         candidate(LensModel::Pinhole, 2.31, 2.2),
@@ -66,7 +69,10 @@ fn with_report<T>(verdict: Verdict, use_it: impl FnOnce(&CalibrationReport<'_>) 
         candidate(LensModel::BrownConrady5, 0.221, 0.195),
         candidate(LensModel::DoubleSphere, f64::INFINITY, f64::NAN),
     ];
-    let views = views(13);
+    let picture: Vec<u8> =
+        (0..640 * 480).map(|at| if at % 640 / 40 % 2 == at / 25_600 % 2 { 40 } else { 220 }).collect();
+    let thumbnail = Thumbnail::new(&GrayImage::from_samples(640, 480, picture).unwrap()).unwrap();
+    let views = views(13, &thumbnail);
     let mut points = vec![0; ViewCoverage::CELLS];
     for residual in views.iter().flat_map(|view| &view.residuals) {
         let cell = (residual.seen.y / 80.0) as usize * 9 + (residual.seen.x / 71.2) as usize;
@@ -104,7 +110,9 @@ fn with_report<T>(verdict: Verdict, use_it: impl FnOnce(&CalibrationReport<'_>) 
         verdict,
         reasons: &reasons,
         views: &views,
+        expected_error_px: 0.1,
         expected_error: &expected_error,
+        bent_board: Some(BentBoard { file: "bent-board.yaml", rms_px: 0.15, expected_error_px: 0.08 }),
         guidance: &guidance,
         warnings: &[],
         camera_file: "camera.yaml",
@@ -133,6 +141,14 @@ fn the_report_is_self_contained_and_deterministic() {
         let html = String::from_utf8(files[0].1.clone()).unwrap();
         assert!(html.contains("left &lt;pictures&gt;") && html.contains("left&lt;10&gt;.jpg"));
         assert!(!html.contains("NaN") && !html.contains("http"), "the page refers to nothing outside");
+        // Each view with its error, the one that was left out too; the figure of the camera file.
+        assert_eq!(html.matches("<figure class=\"view").count(), 13);
+        assert!(
+            html.contains("left04.jpg<span>left out, 3.7 px")
+                && html.contains("left00.jpg<span>used, 0.15 px")
+        );
+        assert!(html.contains("<em>Expected error of a ray</em><b>0.10 px</b>"));
+        assert!(html.contains("href=\"bent-board.yaml\""));
         assert!(html.len() < 400_000, "{} bytes", html.len());
         assert!(files[1..].iter().all(|(_, bytes)| bytes.starts_with(b"\x89PNG")));
         if let Some(folder) = std::env::var_os("ODOGRAPH_REPORT_OUT") {
@@ -156,11 +172,23 @@ fn drawings_tolerate_non_finite_numbers() {
         dy_px: f64::INFINITY,
     };
     let views = [
-        ShownView { name: String::new(), residuals: vec![nowhere; 20], rms_px: f64::NAN, why_not: None },
-        ShownView { name: "x".into(), residuals: vec![], rms_px: f64::INFINITY, why_not: Some("?".into()) },
+        ShownView {
+            name: String::new(),
+            thumbnail: None,
+            residuals: vec![nowhere; 20],
+            rms_px: f64::NAN,
+            why_not: None,
+        },
+        ShownView {
+            name: "x".into(),
+            thumbnail: None,
+            residuals: vec![],
+            rms_px: f64::INFINITY,
+            why_not: Some("?".into()),
+        },
     ];
     let nothing = ExpectedError::new((64, 48), |_| Some(f64::NAN));
-    assert_eq!(nothing.median_and_worst_px(), None);
+    assert_eq!(nothing.worst_px(), None);
     let coverage = ViewCoverage { points: vec![0; ViewCoverage::CELLS] };
     for drawing in [
         super::views::errors(&views, f64::NAN),

@@ -2,6 +2,7 @@
 
 use super::drawing::{ImageFrame, PageDrawing};
 use super::lens::pixels_text;
+use super::thumbnail::Thumbnail;
 use odograph::drawing::scale::{label, multiples, round_step};
 use odograph::drawing::svg::{coordinate, escape, fitted};
 use odograph::geometry::Pixel;
@@ -20,9 +21,11 @@ pub struct ReprojectionError {
 }
 
 /// A view as displayed in the drawings.
-pub struct ShownView {
+pub struct ShownView<'a> {
     /// Name of its frame or file.
     pub name: String,
+    /// Its image, small.
+    pub thumbnail: Option<&'a Thumbnail>,
     /// Of each point of the board in it.
     pub residuals: Vec<ReprojectionError>,
     /// Root mean square of them, pixels.
@@ -35,7 +38,7 @@ pub struct ShownView {
 /// page stays small.
 const MAX_MARKS: usize = 5000;
 
-fn marks(views: &[ShownView], used: bool) -> impl Iterator<Item = &ReprojectionError> + Clone {
+fn marks<'a>(views: &'a [ShownView<'_>], used: bool) -> impl Iterator<Item = &'a ReprojectionError> + Clone {
     let of = move || {
         views.iter().filter(move |view| view.why_not.is_none() == used).flat_map(|view| &view.residuals)
     };
@@ -47,19 +50,22 @@ fn marks(views: &[ShownView], used: bool) -> impl Iterator<Item = &ReprojectionE
         .step_by(every)
 }
 
-/// All detected corners, over the grid cells of the image that contain any.
-pub fn coverage(size: (usize, usize), views: &[ShownView], coverage: &ViewCoverage) -> PageDrawing {
+/// All detected corners over the cells of the image, whose colour is the stronger, the more of them
+/// they have seen.
+pub fn coverage(size: (usize, usize), views: &[ShownView<'_>], coverage: &ViewCoverage) -> PageDrawing {
     let frame = ImageFrame::new(size);
     let (left, right, top, bottom) = frame.sides();
     let (width, height) =
         ((right - left) / ViewCoverage::COLUMNS as f64, (bottom - top) / ViewCoverage::ROWS as f64);
+    let most = coverage.points.iter().copied().max().unwrap_or(0);
     let mut content = String::new();
     for (cell, &points) in coverage.points.iter().enumerate() {
         let (column, row) = (cell % ViewCoverage::COLUMNS, cell / ViewCoverage::COLUMNS);
         let _ = writeln!(
             content,
-            "<rect class=\"{}\" x=\"{}\" y=\"{}\" width=\"{}\" height=\"{}\"/>",
+            "<rect class=\"{}\" fill-opacity=\"{}\" x=\"{}\" y=\"{}\" width=\"{}\" height=\"{}\"/>",
             if points > 0 { "cell" } else { "empty" },
+            coordinate(if points > 0 { shade(points, most) } else { 1.0 }),
             coordinate(left + column as f64 * width),
             coordinate(top + row as f64 * height),
             coordinate(width),
@@ -77,10 +83,16 @@ pub fn coverage(size: (usize, usize), views: &[ShownView], coverage: &ViewCovera
     frame.drawing(&content, 0.0)
 }
 
+/// Opacity of a cell with so many points, of at most `most`. Logarithmic: the difference between
+/// none and a few counts, not that between hundreds and thousands.
+fn shade(points: usize, most: usize) -> f64 {
+    0.15 + 0.5 * (points as f64).ln_1p() / (most as f64).ln_1p()
+}
+
 /// The residuals of all used corners as enlarged arrows from the projected to the detected
 /// position, and the mean residual of each grid cell, which is small if the lens model fits. The
 /// numbers returned are the magnifications.
-pub fn residuals(size: (usize, usize), views: &[ShownView]) -> (PageDrawing, f64, f64) {
+pub fn residuals(size: (usize, usize), views: &[ShownView<'_>]) -> (PageDrawing, f64, f64) {
     let frame = ImageFrame::new(size);
     let lengths = |of: &[(f64, f64)]| {
         let mut lengths: Vec<f64> =
@@ -140,7 +152,7 @@ fn limited(dx: f64, dy: f64, longest: f64) -> (f64, f64) {
 }
 
 /// The mean residual per grid cell with enough used points: their mean position, dx and dy.
-fn means(size: (usize, usize), views: &[ShownView]) -> Vec<(Pixel, f64, f64)> {
+fn means(size: (usize, usize), views: &[ShownView<'_>]) -> Vec<(Pixel, f64, f64)> {
     const COLUMNS: usize = 12;
     /// Minimum number of points for a meaningful mean.
     const LEAST: usize = 8;
@@ -167,7 +179,7 @@ fn means(size: (usize, usize), views: &[ShownView]) -> Vec<(Pixel, f64, f64)> {
 const LARGEST_TEXT: f64 = 22.0;
 
 /// The error of each view as a bar with its name; views that were not used are labelled.
-pub fn errors(views: &[ShownView], rms_px: f64) -> PageDrawing {
+pub fn errors(views: &[ShownView<'_>], rms_px: f64) -> PageDrawing {
     const WIDTH: f64 = 720.0;
     const NAMES: f64 = 230.0;
     const RIGHT: f64 = WIDTH - 66.0;

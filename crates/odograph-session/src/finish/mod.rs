@@ -49,29 +49,28 @@ pub struct Ending<'a> {
     pub started: Instant,
 }
 
-/// Improves the trajectory and writes everything into the folder.
+/// Improves the trajectory and writes everything into the folder. Warnings of a live run that
+/// fails, of which there is no outcome, are given to the observer: nobody can do that run again.
 pub fn finish(
     plan: &RunPlan,
     mut tracked: Tracked,
     folder: &mut OutputFolder,
     ending: &Ending<'_>,
 ) -> Result<RunOutcome> {
-    enough(plan, &mut tracked, ending.output)?;
+    enough(plan, &mut tracked, ending.output)
+        .inspect_err(|error| give_warnings(&tracked, error, ending.observer))?;
     let mut pose_frames = PoseFrames::from(plan.pose_frame()?);
     tracked.recalibrated.iter().for_each(|(frame, rig)| pose_frames.recalibrate(*frame, rig));
     let failure = ended_early(&mut tracked);
-    let mut run = Finishing { failure, plan, pose_frames: pose_frames.clone(), tracked, folder, ending };
-    run.report_calibration()?;
-    let mut improved = Improved::new(&mut run.tracked, plan, ending.sensors, ending.gnss, run.folder.path())?;
-    run.write_paths(&mut improved)?;
-    improved.observe(&mut run.tracked, &pose_frames, ending.observer)?;
-    let frames = improved.summaries(&mut run.tracked, &pose_frames)?;
-    let place = run.place_in_map(&mut improved)?;
-    let on_earth = run.place_on_earth(&mut improved, &frames)?;
-    let Improved { mut corrected, sensors, loops, markers, .. } = improved;
-    run.draw(corrected.as_mut(), &frames, &sensors, markers.as_ref(), on_earth.as_ref())?;
-    let estimated = Estimated { loops, markers, gnss: on_earth.map(|on_earth| on_earth.statistics) };
-    run.end(frames, place, &sensors, estimated)
+    let mut run = Finishing { failure, plan, pose_frames, tracked, folder, ending };
+    run.finish().inspect_err(|error| give_warnings(&run.tracked, error, ending.observer))
+}
+
+/// Gives the observer the warnings that say more than the error that follows them.
+fn give_warnings(tracked: &Tracked, error: &Error, observer: &dyn Observer) {
+    let error = error.to_string();
+    let warnings = tracked.warnings.iter().filter(|_| tracked.live.is_some());
+    warnings.filter(|warning| !warning.contains(&error)).for_each(|warning| observer.warn(warning));
 }
 
 /// The camera file with the estimated lens, where it differs from the plan.
@@ -121,6 +120,23 @@ fn ended_early(tracked: &mut Tracked) -> Option<Error> {
 }
 
 impl Finishing<'_> {
+    /// The steps of the end, one after the other.
+    fn finish(&mut self) -> Result<RunOutcome> {
+        let (plan, ending, pose_frames) = (self.plan, self.ending, self.pose_frames.clone());
+        self.report_calibration()?;
+        let mut improved =
+            Improved::new(&mut self.tracked, plan, ending.sensors, ending.gnss, self.folder.path())?;
+        self.write_paths(&mut improved)?;
+        improved.observe(&mut self.tracked, &pose_frames, ending.observer)?;
+        let frames = improved.summaries(&mut self.tracked, &pose_frames)?;
+        let place = self.place_in_map(&mut improved)?;
+        let on_earth = self.place_on_earth(&mut improved, &frames)?;
+        let Improved { mut corrected, sensors, loops, markers, .. } = improved;
+        self.draw(corrected.as_mut(), &frames, &sensors, markers.as_ref(), on_earth.as_ref())?;
+        let estimated = Estimated { loops, markers, gnss: on_earth.map(|on_earth| on_earth.statistics) };
+        self.end(frames, place, &sensors, estimated)
+    }
+
     fn warn(&mut self, warning: impl IntoIterator<Item = String>) {
         self.tracked.warnings.extend(warning);
     }
@@ -333,7 +349,7 @@ impl Finishing<'_> {
 
     /// Closes the map and writes the statistics, the last file.
     fn end(
-        mut self,
+        &mut self,
         frames: Vec<FrameSummary>,
         place: Option<PoseInMap>,
         sensors: &[SensorReport],
@@ -352,7 +368,7 @@ impl Finishing<'_> {
             self.ending.started.elapsed(),
         );
         self.folder.finish(&statistics)?;
-        match self.failure.or(closed.err()) {
+        match self.failure.take().or(closed.err()) {
             Some(error) => Err(error),
             None => Ok(RunOutcome {
                 end: RunEnd::of(&statistics),
@@ -360,7 +376,7 @@ impl Finishing<'_> {
                 trajectory: frames,
                 resemblance: looked_for.then(|| Resemblance::of(mapper)).flatten(),
                 place,
-                warnings: self.tracked.warnings,
+                warnings: std::mem::take(&mut self.tracked.warnings),
                 folder: self.folder.path().to_owned(),
                 written: self.folder.take_written().into_iter().chain(map).collect(),
             }),

@@ -59,6 +59,7 @@ pub fn statistics_of(
         interlaced: tracked.interlaced,
         fixed_in_image: tracked.fixed.clone(),
         interrupted: tracked.interrupted,
+        warnings: tracked.warnings.clone(),
         frames_announced: tracked.announced.filter(|_| tracked.interrupted),
         live: tracked.live,
         markers: estimated.markers,

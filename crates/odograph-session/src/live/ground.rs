@@ -8,8 +8,8 @@ use odograph::geometry::{GroundPose, Sim2};
 use odograph::ground_map::{KeyframeImage, KeyframeImages};
 use odograph::keyframe::KeyframeId;
 use odograph::mosaic::{Mosaic, MosaicSquare};
-use odograph_live::TiledGround;
 use odograph_live::ground::GroundState;
+use odograph_live::{GroundPicture, TiledGround};
 use odograph_map::MapFile;
 use std::collections::BTreeSet;
 use std::path::{Path, PathBuf};
@@ -37,6 +37,8 @@ enum Stage {
     /// Neither, temporarily.
     Away,
     Finished(Box<Mosaic>),
+    /// As it was written.
+    Written(Box<GroundPicture>),
 }
 
 /// A mosaic to be rendered again.
@@ -55,7 +57,7 @@ impl LiveGroundState {
     fn mosaic(&self) -> Option<&Mosaic> {
         match &self.mosaic {
             Stage::Growing(rendering) => Some(rendering.mosaic()),
-            Stage::Away => None,
+            Stage::Away | Stage::Written(_) => None,
             Stage::Finished(mosaic) => Some(mosaic),
         }
     }
@@ -122,11 +124,28 @@ impl LiveGround {
         state.mosaic = Stage::Finished(Box::new(mosaic));
         Some(kept)
     }
+
+    /// Shows the mosaic that was written, all frames at their final poses, instead of the one that
+    /// grew.
+    pub fn show_written(&self, picture: GroundPicture) {
+        let there: BTreeSet<MosaicSquare> = picture.changed_since(0).into_iter().collect();
+        let state = &mut *self.state();
+        let before: Vec<MosaicSquare> =
+            state.mosaic().map_or_else(Vec::new, |mosaic| mosaic.changed_since(0).collect());
+        state.bare.extend(before);
+        state.bare.retain(|square| !there.contains(square));
+        state.mosaic = Stage::Written(Box::new(picture));
+        state.generation += 1;
+    }
 }
 
 impl TiledGround for LiveGround {
     fn state(&self) -> Option<GroundState> {
         let state = Self::state(self);
+        if let Stage::Written(picture) = &state.mosaic {
+            let GroundState { metres_per_pixel, revision } = picture.state()?;
+            return Some(GroundState { metres_per_pixel, revision: state.generation * REVISIONS + revision });
+        }
         let mosaic = state.mosaic()?;
         let revision = state.generation * REVISIONS + mosaic.revision().min(REVISIONS - 1);
         Some(GroundState { metres_per_pixel: mosaic.resolution_m()?, revision })
@@ -134,6 +153,11 @@ impl TiledGround for LiveGround {
 
     fn changed_since(&self, revision: u64) -> Vec<MosaicSquare> {
         let state = Self::state(self);
+        if let Stage::Written(picture) = &state.mosaic {
+            let before = if revision / REVISIONS == state.generation { revision % REVISIONS } else { 0 };
+            let bare = state.bare.iter().copied().filter(|_| before == 0);
+            return picture.changed_since(before).into_iter().chain(bare).collect();
+        }
         let Some(mosaic) = state.mosaic() else { return Vec::new() };
         if revision / REVISIONS == state.generation {
             return mosaic.changed_since(revision % REVISIONS).collect();
@@ -143,7 +167,11 @@ impl TiledGround for LiveGround {
     }
 
     fn tile_rgba(&self, tile: MosaicSquare) -> Option<Vec<u8>> {
-        Self::state(self).mosaic()?.tile_rgba(tile)
+        let state = Self::state(self);
+        match &state.mosaic {
+            Stage::Written(picture) => picture.tile_rgba(tile),
+            _ => state.mosaic()?.tile_rgba(tile),
+        }
     }
 }
 
@@ -153,7 +181,7 @@ mod tests {
 
     use super::*;
     use odograph::camera::{Distortion, Rig};
-    use odograph::geometry::GroundPose;
+    use odograph::geometry::{GroundPose, Placement};
     use odograph::ground_map::MapKeyframe;
     use odograph::image::GrayImage;
     use odograph::keyframe::KeyframeId;
@@ -241,5 +269,25 @@ mod tests {
         assert_eq!([25.1, 40.1].map(|x_m| shade(&ground, x_m)), [Some(130), None]);
         let new = ground.changed_since(revision);
         assert!(!new.is_empty() && new.iter().all(|tile| ground.tile_rgba(*tile).is_some()), "{new:?}");
+    }
+
+    #[test]
+    fn at_the_end_the_ground_is_the_one_that_was_written() {
+        let folder = tempfile::tempdir().unwrap();
+        let ground = LiveGround::new(camera(), folder.path(), true);
+        ground.render(posed(0, 50, at(0.0)));
+        ground.render(posed(1, 90, at(30.0)));
+        ground.finish().unwrap();
+        let before = TiledGround::state(&ground).unwrap();
+        let placement = Placement { metres_per_pixel: before.metres_per_pixel, x_m: 0.0, y_m: 0.0 };
+        let side = 2 * Mosaic::TILE_SIDE_PX;
+        let rgba = [200, 200, 200, 255].repeat(side * side);
+        ground.show_written(GroundPicture::new(rgba, side, side, placement).unwrap());
+        assert_eq!([0.1, 30.1].map(|x_m| shade(&ground, x_m)), [Some(200), None]);
+        // Viewers are told of all tiles once, including those that are now empty.
+        let changed = ground.changed_since(before.revision);
+        assert!(changed.iter().any(|tile| ground.tile_rgba(*tile).is_none()), "{changed:?}");
+        let now = TiledGround::state(&ground).unwrap().revision;
+        assert!(now > before.revision && ground.changed_since(now).is_empty());
     }
 }

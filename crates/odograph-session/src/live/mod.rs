@@ -135,6 +135,7 @@ impl RunBuilder {
             height: info.height,
             height_m: plan.rig.height_m,
             live: true,
+            recovered: false,
             calibration: false,
         };
         let ground = LiveGround::new(plan.camera.clone(), folder.path(), options.shown);

@@ -5,7 +5,7 @@ use crate::plan::RunPlan;
 use crate::report::ReportMark;
 use odograph::error::Result;
 use odograph::trajectory::FrameEstimate;
-use odograph_live::Mark;
+use odograph_live::{Hub, Mark};
 use std::fmt::Write;
 use std::path::Path;
 use std::time::{Duration, Instant, SystemTime, UNIX_EPOCH};
@@ -28,6 +28,8 @@ pub struct Recorder {
     little_space: Option<String>,
     stopped: Option<String>,
     marks: Vec<Mark>,
+    /// Changes of the marks that are recorded.
+    marks_changed: u64,
 }
 
 impl Recorder {
@@ -41,6 +43,7 @@ impl Recorder {
             little_space: None,
             stopped: None,
             marks: Vec::new(),
+            marks_changed: 0,
         })
     }
 
@@ -63,20 +66,16 @@ impl Recorder {
         }
     }
 
-    /// Adds marks set since the last call.
-    pub fn mark(&mut self, marks: Vec<Mark>) {
-        if marks.is_empty() {
+    /// Records the marks, if any was set or renamed since the last call.
+    pub fn record_marks(&mut self, hub: &Hub) {
+        let changed = hub.marks_changed();
+        if changed == self.marks_changed {
             return;
         }
-        self.marks.extend(marks);
+        (self.marks, self.marks_changed) = (hub.marks_from(0), changed);
         if let Err(error) = self.folder.write("marks.csv", marks_csv(&self.marks).as_bytes()) {
             self.stopped.get_or_insert(error.to_string());
         }
-    }
-
-    /// Number of marks.
-    pub fn marks(&self) -> usize {
-        self.marks.len()
     }
 
     /// The marks for the report.

@@ -54,6 +54,12 @@ function draw() {
     context.drawImage(mosaic.image, left, top, mosaic.image.width * zoom, mosaic.image.height * zoom);
   }
   context.lineJoin = "round";
+  // Below the paths, of which they show no more than that they meet.
+  for (const [color, width] of [["#10161a66", 2.5], ["#ffffffb0", 1]]) {
+    context.strokeStyle = color;
+    context.lineWidth = width * scale;
+    for (const [ax, ay, bx, by] of state.loops) line([[ax, ay], [bx, by]]);
+  }
   for (const session of state.sessions) {
     context.setLineDash(session.connected ? [] : [6 * scale, 6 * scale]);
     // A light outline keeps the path visible on any ground.
@@ -82,9 +88,6 @@ function draw() {
       context.stroke();
     }
   }
-  context.strokeStyle = "#fffc";
-  context.lineWidth = scale;
-  for (const [ax, ay, bx, by] of state.loops) line([[ax, ay], [bx, by]]);
   ruler(scale);
   view = seen;
 }

@@ -1,4 +1,5 @@
-//! Text formats: camera, calibration, control, rig, sensor, GNSS and trajectory files.
+//! Text formats: camera, calibration, control, rig, sensor, GNSS and trajectory files; and the
+//! record of a frame for pages.
 //!
 //! Nothing here opens a file: readers take text, writers return it. Readers accept any text without
 //! panicking, in time and memory proportional to its length, and report errors in one sentence.
@@ -12,4 +13,5 @@ pub mod gnss_file;
 pub mod length;
 pub mod rig_file;
 pub mod sensor_file;
+pub mod track_record;
 pub mod trajectory_file;

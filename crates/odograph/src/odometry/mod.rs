@@ -34,7 +34,7 @@ use crate::error::{Error, Result};
 use crate::filter::ConstantAcceleration;
 use crate::fixed_pattern::{FixedPattern, ImageMask, NonuniformityCorrection, SinceLast};
 use crate::geometry::pose_index::{HEIGHT, PITCH, ROLL};
-use crate::geometry::{GroundPose, Pixel};
+use crate::geometry::{GroundPoint, GroundPose, Pixel};
 use crate::image::{GrayImage, Interlacing, Pyramid, even_field};
 use crate::motion::{MotionEstimate, MotionModel, PoseRates, Readout};
 use crate::trajectory::{FrameEstimate, LossReason, PlaneMeasurement, PoseEstimate, TrackStatus};
@@ -252,6 +252,13 @@ impl Odometry {
     /// The tracks of the last frame.
     pub fn tracks(&self) -> &[TrackView] {
         &self.tracks
+    }
+
+    /// Elevations of the ground at the keyframe's corners, where it is not flat: places in the
+    /// odometry frame and metres above the plane. Empty on flat ground.
+    pub fn elevations(&self) -> Vec<(GroundPoint, f64)> {
+        let corners = self.keyframe.iter().flat_map(|keyframe| &keyframe.corners);
+        corners.filter_map(|corner| Some((corner.patch.ground, corner.elevation?.mean_m))).collect()
     }
 
     /// Whether the tracks of the last frame look like those of ground that is not flat. A tilt, a

@@ -45,6 +45,7 @@ impl Input {
         if let Some(gone) = waiting.iter().find(|source| *source != "-" && !Path::new(source).exists()) {
             return Err(Error::input(format!("{gone}: there is no such file or folder")));
         }
+        odograph_session::check_recording(Path::new(&first))?;
         let source = odograph_video::open(&first, options)?;
         let (info, single) = (source.info(), waiting.is_empty());
         let description = if single { first.clone() } else { format!("{first} and {} more", waiting.len()) };

@@ -7,6 +7,7 @@ use super::{
     output::CalibrationOutput,
 };
 use crate::commands::live::{Offer, Serving};
+use crate::report::calibration::pixels_text;
 use crate::{Outcome, interrupt};
 use odograph::error::{Error, Result};
 use odograph::geometry::Pixel;
@@ -67,6 +68,7 @@ pub fn calibrate(
         height: info.height,
         height_m: 0.0,
         live: true,
+        recovered: false,
         calibration: true,
     };
     let no_ground = Mutex::new(Mosaic::new(Default::default()));
@@ -142,18 +144,20 @@ fn open(arguments: &CalibrateArguments, watch: &Watch) -> Result<LiveInput> {
     open_live_input(&plan, &arguments.capture.options(), || None, watch)
 }
 
-/// The camera file, and the report if it is below the same folder.
+/// The camera files, and the report if it is below the same folder.
 fn offer(output: &CalibrationOutput) -> Offer {
     let camera = output.camera_file();
     let folder = match camera.parent() {
         Some(folder) if folder != Path::new("") => folder.to_owned(),
         _ => ".".into(),
     };
-    let page = output.report_page();
-    let beside = page.strip_prefix(&folder).unwrap_or(&page);
     let name = camera.file_name().unwrap_or_default().to_string_lossy().into_owned();
-    let page = beside.is_relative().then(|| beside.to_string_lossy().into_owned());
-    Offer { folder, files: [name].into_iter().chain(page).collect() }
+    let below = [output.report_page(), output.bent_board_file()].into_iter().filter_map(|path| {
+        let beside = path.strip_prefix(&folder).unwrap_or(&path);
+        beside.is_relative().then(|| beside.to_string_lossy().into_owned())
+    });
+    let files = [name].into_iter().chain(below).collect();
+    Offer { folder, files }
 }
 
 /// The loop: look for the board, show, say what is missing, try.
@@ -293,7 +297,12 @@ fn send_result(hub: &Hub, calibrated: &CalibrationResult) {
 
 fn said(calibration: &Calibration) -> String {
     let reason = calibration.reasons.first().map_or_else(String::new, |reason| format!(": {reason}"));
-    format!("{} with {:.3} px on views held out{reason}", calibration.verdict, calibration.hold_out_rms_px)
+    format!(
+        "{}, expected error of a ray {}, {} on views held out{reason}",
+        calibration.verdict,
+        pixels_text(calibration.expected_error_over_image_px()),
+        pixels_text(calibration.hold_out_rms_px)
+    )
 }
 
 /// Trial calibrations with the views so far, in parallel to the search.

@@ -55,7 +55,7 @@ pub struct CalibrateArguments {
     serve: ServeArguments,
     #[command(flatten)]
     capture: CaptureArguments,
-    /// Lens model; auto takes the one that predicts unseen views best.
+    /// Lens model; auto takes the one whose rays are surest over the whole image.
     #[arg(help_heading = "Board and lens", long, value_name = "MODEL", default_value = "auto")]
     model: LensModelOption,
     /// Assume square pixels: one focal length for both directions.
@@ -111,7 +111,7 @@ files have been written and say why).";
 /// The lens models by their names on the command line.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, clap::ValueEnum)]
 enum LensModelOption {
-    /// The one that predicts new views best.
+    /// The one whose rays are surest over the whole image.
     Auto,
     /// No distortion.
     Pinhole,
@@ -145,11 +145,13 @@ impl LensModelOption {
 struct CalibrationResult {
     board: Board,
     search: BoardSearch,
-    /// Names of the views that were given to the calibration, in its order.
-    names: Vec<String>,
+    /// Numbers and names of the views that were given to the calibration, in its order.
+    names: Vec<(u64, String)>,
     views: Vec<BoardView>,
     guidance: Guidance,
     calibration: Calibration,
+    /// The same with the bend of the board estimated, if the views show that it was bent.
+    bent: Option<Calibration>,
     /// For people: what was read.
     description: String,
     /// How long finding the board and calibrating took.
@@ -228,12 +230,17 @@ fn conclude(
     let (guidance, chosen) = choose(&search, selection.most_views, &board, &description)?;
     let (names, views): (Vec<_>, Vec<_>) = chosen
         .into_iter()
-        .map(|sighting| (search.names[&sighting.number].clone(), sighting.view.clone()))
+        .map(|sighting| ((sighting.number, search.names[&sighting.number].clone()), sighting.view.clone()))
         .unzip();
     let calibration = odograph_calibration::calibrate(&board, &views, &arguments.config())
         .map_err(|error| error.at(&description))?;
+    // What nobody asked for may fail.
+    let bent = calibration.bend.and_then(|_| {
+        let config = CalibrationConfig { flat_board: false, ..arguments.config() };
+        odograph_calibration::calibrate(&board, &views, &config).ok()
+    });
     let times = [searched, began.elapsed()];
-    Ok(CalibrationResult { board, search, names, views, guidance, calibration, description, times })
+    Ok(CalibrationResult { board, search, names, views, guidance, calibration, bent, description, times })
 }
 
 /// Prints the result; returns the outcome.
@@ -244,7 +251,7 @@ fn print_summary(
 ) -> Result<Outcome> {
     calibrated.search.warnings.iter().for_each(|warning| console::warn(warning));
     if arguments.json {
-        console::print(&summary::json(calibrated))?;
+        console::print(&summary::json(calibrated, output))?;
     } else if !arguments.quiet {
         console::print(&summary::text(calibrated, output))?;
     }

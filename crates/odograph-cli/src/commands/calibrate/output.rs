@@ -3,7 +3,7 @@
 use super::CalibrationResult;
 use super::focal_length::focal_px;
 use crate::files;
-use crate::report::calibration::{CalibrationReport, ExpectedError, ReprojectionError, ShownView};
+use crate::report::calibration::{BentBoard, CalibrationReport, ExpectedError, ReprojectionError, ShownView};
 use odograph::error::{Error, Result};
 use odograph_calibration::calibration_file;
 use std::ffi::OsString;
@@ -11,6 +11,8 @@ use std::fs;
 use std::path::{Path, PathBuf};
 
 const PAGE: &str = "report.html";
+/// The camera file with the bend of the board estimated, in the folder of the report.
+const BENT_BOARD: &str = "bent-board.yaml";
 
 /// Where the results go.
 pub struct CalibrationOutput {
@@ -72,6 +74,11 @@ impl CalibrationOutput {
         self.report.join(PAGE)
     }
 
+    /// The camera file with the bend of the board estimated.
+    pub fn bent_board_file(&self) -> PathBuf {
+        self.report.join(BENT_BOARD)
+    }
+
     /// Writes the report and then the camera file, so that a camera file implies a complete report.
     pub fn write(&self, calibrated: &CalibrationResult) -> Result<()> {
         let calibration = &calibrated.calibration;
@@ -98,7 +105,13 @@ impl CalibrationOutput {
             verdict: calibration.verdict,
             reasons: &calibration.reasons,
             views: &views,
+            expected_error_px: calibration.expected_error_over_image_px(),
             expected_error: &expected_error,
+            bent_board: calibrated.bent.as_ref().map(|bent| BentBoard {
+                file: BENT_BOARD,
+                rms_px: bent.rms_px,
+                expected_error_px: bent.expected_error_over_image_px(),
+            }),
             guidance: &calibrated.guidance,
             warnings: &calibrated.search.warnings,
             camera_file: &name,
@@ -108,16 +121,25 @@ impl CalibrationOutput {
         for (name, bytes) in &files {
             files::write(&self.report.join(name), bytes)?;
         }
+        let bent_board = self.bent_board_file();
+        match &calibrated.bent {
+            Some(bent) => {
+                files::write(&bent_board, calibration_file::write(bent, &calibrated.board).as_bytes())?;
+            }
+            // One of an earlier calibration would be taken for one of this.
+            None => drop(fs::remove_file(&bent_board)),
+        }
         let text = calibration_file::write(calibration, &calibrated.board);
         files::write(&self.camera_file, text.as_bytes())
     }
 }
 
-fn shown_views(calibrated: &CalibrationResult) -> Vec<ShownView> {
+fn shown_views(calibrated: &CalibrationResult) -> Vec<ShownView<'_>> {
     let views = calibrated.calibration.views.iter().zip(&calibrated.views).zip(&calibrated.names);
     views
-        .map(|((view, seen), name)| ShownView {
+        .map(|((view, seen), (number, name))| ShownView {
             name: name.clone(),
+            thumbnail: calibrated.search.thumbnails.get(number),
             residuals: view
                 .residuals
                 .iter()

@@ -3,12 +3,12 @@
 
 use super::input::{Input, SearchedImage};
 use crate::interrupt;
-use crate::report::calibration::BoardDetections;
+use crate::report::calibration::{BoardDetections, Thumbnail};
 use indicatif::{ProgressBar, ProgressStyle};
 use odograph::error::{Error, Result};
 use odograph_calibration::selection::{SelectionConfig, Sighting, ViewSelector, blur_px};
 use odograph_calibration::{Board, BoardFinder, BoardView, NotFound};
-use std::collections::BTreeMap;
+use std::collections::{BTreeMap, BTreeSet};
 use std::sync::{Arc, Mutex, mpsc};
 use std::thread;
 
@@ -20,9 +20,25 @@ pub struct BoardSearch {
     pub pictures: Vec<Sighting>,
     /// Names of the sightings, by their numbers.
     pub names: BTreeMap<u64, String>,
+    /// Small pictures of the sightings, by their numbers.
+    pub thumbnails: BTreeMap<u64, Thumbnail>,
     pub warnings: Vec<String>,
     /// What kind of recording it was, in words.
     pub kind: String,
+}
+
+impl BoardSearch {
+    /// Drops names and thumbnails of sightings that cannot be chosen any more: a recording shows
+    /// the board in thousands of frames.
+    fn forget_what_cannot_be_chosen(&mut self) {
+        const MAX_REMEMBERED: usize = 4096;
+        if self.names.len() > MAX_REMEMBERED {
+            let mut numbers: BTreeSet<u64> = self.selector.numbers().collect();
+            numbers.extend(self.pictures.iter().map(|sighting| sighting.number));
+            self.names.retain(|number, _| numbers.contains(number));
+            self.thumbnails.retain(|number, _| numbers.contains(number));
+        }
+    }
 }
 
 /// The result for one frame.
@@ -32,6 +48,8 @@ pub struct FrameSearch {
     picture: bool,
     /// The board and how blurred it is, or why it was not found.
     outcome: std::result::Result<(BoardView, Option<f64>), NotFound>,
+    /// The image, small, if the board was found.
+    thumbnail: Option<Thumbnail>,
 }
 
 impl FrameSearch {
@@ -135,7 +153,8 @@ pub fn look(finder: &BoardFinder, frame: SearchedImage) -> FrameSearch {
         let blur_px = blur_px(&frame.image, &view);
         (view, blur_px)
     });
-    FrameSearch { name: frame.name, time_s: frame.time_s, picture: frame.picture, outcome }
+    let thumbnail = outcome.as_ref().ok().and_then(|_| Thumbnail::new(&frame.image));
+    FrameSearch { name: frame.name, time_s: frame.time_s, picture: frame.picture, outcome, thumbnail }
 }
 
 /// What has been found so far, frame by frame in their order.
@@ -160,6 +179,7 @@ impl Gathering {
                 selector: ViewSelector::new(board, selection),
                 pictures: Vec::new(),
                 names: BTreeMap::new(),
+                thumbnails: BTreeMap::new(),
                 warnings: Vec::new(),
                 kind,
             },
@@ -194,11 +214,15 @@ impl Gathering {
                 let time_s = looked.time_s.filter(|_| !(self.photographs && looked.picture));
                 let sighting = Sighting { number, time_s, view, blur_px };
                 search.names.insert(number, looked.name);
+                if let Some(thumbnail) = looked.thumbnail {
+                    search.thumbnails.insert(number, thumbnail);
+                }
                 // One more than can be used, to detect that there are too many.
                 if looked.picture && search.pictures.len() <= self.most_views {
                     search.pictures.push(sighting.clone());
                 }
                 search.selector.add(sighting);
+                search.forget_what_cannot_be_chosen();
                 self.say_what_is_missing();
             }
             Err(why) => {

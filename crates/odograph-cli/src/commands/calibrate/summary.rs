@@ -19,10 +19,11 @@ pub fn text(calibrated: &CalibrationResult, output: &CalibrationOutput) -> Strin
     };
     let found = &calibrated.search.found;
     let mut text = format!(
-        "{verdict}: {} from {} views ({} on views held out), board found in {} of {} {}\n",
+        "{verdict}: {} from {} views ({} on views held out), expected error of a ray {}; board found in {} of {} {}\n",
         pixels_text(calibration.rms_px),
         calibration.views_used(),
         pixels_text(calibration.hold_out_rms_px),
+        pixels_text(calibration.expected_error_over_image_px()),
         found.with_board,
         found.looked_at,
         if calibrated.search.pictures.is_empty() { "frames" } else { "pictures" },
@@ -49,6 +50,15 @@ pub fn text(calibrated: &CalibrationResult, output: &CalibrationOutput) -> Strin
         label(middle_deviation_px, middle_step),
         lens_name(calibration.model)
     );
+    if let Some(bent) = &calibrated.bent {
+        let _ = writeln!(
+            text,
+            "With the board's bend estimated: {}, expected error {}: {} (--bent-board makes it the result)",
+            pixels_text(bent.rms_px),
+            pixels_text(bent.expected_error_over_image_px()),
+            console::name(output.bent_board_file())
+        );
+    }
     // Most important first; the report has them all.
     if calibration.verdict != Verdict::Good {
         let hints: Vec<String> =
@@ -75,7 +85,7 @@ pub fn text(calibrated: &CalibrationResult, output: &CalibrationOutput) -> Strin
 }
 
 /// The figures of a calibration for other programs, on one line.
-pub fn json(calibrated: &CalibrationResult) -> String {
+pub fn json(calibrated: &CalibrationResult, output: &CalibrationOutput) -> String {
     let (calibration, found) = (&calibrated.calibration, &calibrated.search.found);
     let parameters: serde_json::Map<String, serde_json::Value> = calibration
         .parameters
@@ -87,8 +97,15 @@ pub fn json(calibrated: &CalibrationResult) -> String {
         .iter()
         .zip(&calibrated.names)
         .filter(|(view, _)| !view.used)
-        .map(|(view, name)| serde_json::json!({ "view": name, "why": view.why_not }))
+        .map(|(view, (_, name))| serde_json::json!({ "view": name, "why": view.why_not }))
         .collect();
+    let bent_board = calibrated.bent.as_ref().map(|bent| {
+        serde_json::json!({
+            "file": output.bent_board_file().display().to_string(),
+            "rms_px": bent.rms_px,
+            "expected_error_px": bent.expected_error_over_image_px(),
+        })
+    });
     let [find, solve] = calibrated.times.map(|time| time.as_secs_f64());
     let figures = serde_json::json!({
         "verdict": calibration.verdict.to_string(),
@@ -103,6 +120,7 @@ pub fn json(calibrated: &CalibrationResult) -> String {
         "hold_out_rms_px": calibration.hold_out_rms_px,
         "expected_error_px": calibration.expected_error_over_image_px(),
         "parameters": parameters,
+        "bent_board": bent_board,
         "missing": calibrated.guidance.missing.iter().map(ToString::to_string).collect::<Vec<_>>(),
         "seconds": { "find": find, "solve": solve },
     });

@@ -100,6 +100,7 @@ impl LiveArguments {
 /// Runs the command.
 pub fn live(arguments: LiveArguments) -> Result<Outcome> {
     let arguments = LiveArguments { mounted: arguments.mounted.with_profile()?, ..arguments };
+    arguments.site.check()?;
     let mut outputs = Outputs::new(&arguments)?;
     arguments.mounted.setup.question(arguments.quiet);
     let observer = ConsoleObserver::without_progress(arguments.quiet).with_log(arguments.log);

@@ -19,8 +19,11 @@ pub struct Outputs {
 impl Outputs {
     pub fn new(arguments: &LiveArguments) -> Result<Self> {
         let datagrams = arguments.udp.as_deref().map(|address| {
-            Datagrams::to(address)
-                .map_err(|error| Error::usage(format!("poses cannot be sent to {address}: {error}")))
+            Datagrams::to(address).map_err(|error| {
+                Error::usage(format!(
+                    "poses cannot be sent to {address}: {error}; give HOST:PORT, such as 127.0.0.1:9000"
+                ))
+            })
         });
         Ok(Self {
             print: arguments.print == Some(Print::Poses),

@@ -170,8 +170,6 @@ impl RunArguments {
         let given = [
             ("--map", self.output.map.is_some()),
             ("--bag-out", self.bag_out.is_some()),
-            ("--site", self.site.site.is_some()),
-            ("--robot", self.site.robot.is_some()),
             ("--force", self.output.force),
         ];
         let given = self.settings().into_iter().chain(given).find(|(_, given)| *given);
@@ -288,8 +286,10 @@ pub fn run(arguments: RunArguments) -> Result<Outcome> {
                 console::note(&format!("the run in {} begins again at its first frame", folder.display()));
             }
         };
-        return follow(&builder, &arguments, folder, &print_begin);
+        let site = arguments.site.of_resumed(builder.robot_name(), folder)?;
+        return follow(&builder, &RunArguments { site, ..arguments.clone() }, folder, &print_begin);
     }
+    arguments.site.check()?;
     let arguments = match arguments.source().ends_with(".toml") {
         true => arguments,
         false => RunArguments { mounted: arguments.mounted.with_profile()?, ..arguments },

@@ -27,7 +27,7 @@ pub struct CameraSetup {
     /// x_m, y_m, z_m: the camera on the robot (base_link), forward, left and up.
     #[arg(help_heading = "Camera", long, value_name = "FILE")]
     pub rig: Option<PathBuf>,
-    /// Width and height of the ground in the image, as 1.20x0.90 (metres) or 120cmx90cm.
+    /// Width and height of the ground in the image, as 1.20x0.90 (metres) or 120x90cm.
     ///
     /// Stands in for a camera file; height and tilt are then taken as steady.
     #[arg(help_heading = "Camera", long, value_name = "WxH", value_parser = field_of_view, conflicts_with = "camera")]
@@ -130,13 +130,11 @@ impl MountedCameraArguments {
 pub struct FieldOfView(pub f64, pub f64);
 
 fn field_of_view(text: &str) -> std::result::Result<FieldOfView, String> {
-    let sides = text
-        .split_once(['x', 'X', '×'])
-        .and_then(|(w, h)| Some((lengths::metres(w).ok()?, lengths::metres(h).ok()?)));
+    let sides = text.split_once(['x', 'X', '×']).and_then(|(w, h)| lengths::pair(w, h));
     match sides {
         Some((w, h)) if [w, h].iter().all(|side| Rig::HEIGHTS_M.contains(side)) => Ok(FieldOfView(w, h)),
         Some(_) => Err("width and height are each between 1 µm and 10 km".to_owned()),
-        _ => Err("give width and height, as 1.20x0.90 (metres) or 120cmx90cm".to_owned()),
+        _ => Err("give width and height, as 1.20x0.90 (metres), 120x90cm or 120cmx90cm".to_owned()),
     }
 }
 

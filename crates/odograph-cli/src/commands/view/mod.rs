@@ -5,12 +5,9 @@ pub(super) mod map;
 use super::live::{Offer, ServeArguments, Serving};
 use crate::{Outcome, console, files};
 use odograph::error::{Error, Result};
-use odograph::geometry::Placement;
 use odograph::mosaic::Mosaic;
 use odograph_live::{GroundPicture, Hub, Introduction, Mark, Phase, Status, TiledGround, TrackRecord};
 use odograph_session::{RunPlan, UnfinishedRun};
-use std::fs::File;
-use std::io::BufReader;
 use std::path::{Path, PathBuf};
 use std::sync::atomic::{AtomicBool, Ordering};
 use std::sync::{Arc, Mutex};
@@ -76,9 +73,10 @@ fn serve_run(folder: &Path, serve: &ServeArguments) -> Result<Serving> {
         height,
         height_m: plan.as_ref().map_or(1.0, |plan| plan.rig.height_m),
         live: false,
+        recovered: UnfinishedRun::in_folder(folder).is_some(),
         calibration: false,
     };
-    let ground: Box<dyn TiledGround> = match mosaic(folder)? {
+    let ground: Box<dyn TiledGround> = match GroundPicture::of_run(folder, MAX_PIXELS)? {
         Some(picture) => Box::new(picture),
         None => Box::new(Mutex::new(Mosaic::new(Default::default()))),
     };
@@ -97,6 +95,7 @@ fn serve_map(path: &Path, serve: &ServeArguments, ended: &Arc<AtomicBool>) -> Re
         height: view.size.1,
         height_m: view.height_m,
         live: false,
+        recovered: false,
         calibration: false,
     };
     let ground = map::ground(path, MAX_PIXELS, ended)?;
@@ -146,33 +145,6 @@ fn records(folder: &Path) -> Result<Vec<TrackRecord>> {
 /// The parameters of the run, if they can be read: the page shows more with them.
 fn plan(folder: &Path) -> Option<RunPlan> {
     toml::from_str(&files::read_text(&folder.join("run.toml")).ok()?).ok()
-}
-
-/// The mosaic, where there is one.
-fn mosaic(folder: &Path) -> Result<Option<GroundPicture>> {
-    let (picture, world) = (folder.join("mosaic.png"), folder.join("mosaic.pgw"));
-    if !picture.is_file() || !world.is_file() {
-        return Ok(None);
-    }
-    let numbers: Vec<f64> =
-        files::read_text(&world)?.lines().filter_map(|line| line.trim().parse().ok()).collect();
-    let [metres_per_pixel, _, _, _, x_m, y_m] = numbers[..] else {
-        return Err(Error::input(format!("{} is not a world file of six numbers", world.display())));
-    };
-    let damaged = |why: String| Error::input(format!("{} cannot be shown: {why}", picture.display()));
-    let file = File::open(&picture).map_err(|error| damaged(error.to_string()))?;
-    let mut decoder = png::Decoder::new(BufReader::new(file));
-    decoder.set_limits(png::Limits { bytes: 8 * MAX_PIXELS });
-    let mut reader = decoder.read_info().map_err(|error| damaged(error.to_string()))?;
-    let size = reader.output_buffer_size().filter(|size| *size <= 4 * MAX_PIXELS);
-    let (color, depth) = reader.output_color_type();
-    if color != png::ColorType::Rgba || depth != png::BitDepth::Eight {
-        return Err(damaged("it is not a mosaic of this program".to_owned()));
-    }
-    let mut rgba = vec![0; size.ok_or_else(|| damaged("it is too large".to_owned()))?];
-    let info = reader.next_frame(&mut rgba).map_err(|error| damaged(error.to_string()))?;
-    let placement = Placement { metres_per_pixel, x_m, y_m };
-    GroundPicture::new(rgba, info.width as usize, info.height as usize, placement).map(Some)
 }
 
 /// The marks that were set in the run, where there are any.

@@ -1,7 +1,8 @@
 //! Recordings of a calibration board, rendered by the test.
 
-use nalgebra::Isometry3;
+use nalgebra::{Isometry3, Point3, Vector3};
 use odograph::camera::{Camera, Distortion};
+use odograph::geometry::{Pixel, Ray};
 use odograph::image::GrayImage;
 use odograph_calibration::Board;
 use odograph_simulation::{BoardEffects, BoardScene, Framing};
@@ -32,6 +33,37 @@ pub fn pictures(scene: &BoardScene, count: usize) -> Vec<GrayImage> {
 
 pub fn picture(scene: &BoardScene, camera_from_board: &Isometry3<f64>) -> GrayImage {
     scene.render(camera_from_board, &BoardEffects::default())
+}
+
+/// The board bent towards the camera by so much at 9 cm from its left end: each pixel is the one
+/// that the flat board has where the bent one has this point.
+pub fn bent(scene: &BoardScene, camera: &Camera, pose: &Isometry3<f64>, depth_m: f64) -> GrayImage {
+    let flat = picture(scene, pose);
+    let (width, height) = (flat.width(), flat.height());
+    let board_from_camera = pose.inverse();
+    let origin = board_from_camera * Point3::origin();
+    let sample = |pixel: Pixel| {
+        let (x, y) = (pixel.x.clamp(0.0, width as f64 - 2.0), pixel.y.clamp(0.0, height as f64 - 2.0));
+        let (i, j, s, t) = (x as usize, y as usize, x.fract(), y.fract());
+        let at = |i: usize, j: usize| f64::from(flat.row(j)[i]);
+        let above = (1.0 - s) * at(i, j) + s * at(i + 1, j);
+        let below = (1.0 - s) * at(i, j + 1) + s * at(i + 1, j + 1);
+        ((1.0 - t) * above + t * below).round() as u8
+    };
+    let bent = |x: usize, y: usize| {
+        let ray = camera.ray_from_pixel(Pixel::new(x as f64, y as f64)).unwrap();
+        let along = board_from_camera * Vector3::new(ray.x, ray.y, 1.0);
+        let (mut place, mut z_m) = (origin, 0.0);
+        for _ in 0..8 {
+            place = origin + along * ((z_m - origin.z) / along.z);
+            z_m = -depth_m * (place.x / 0.09).powi(2);
+        }
+        let seen = pose * Point3::new(place.x, place.y, 0.0);
+        camera.pixel_from_ray(Ray::new(seen.x / seen.z, seen.y / seen.z)).map_or(128, sample)
+    };
+    let samples =
+        (0..height).flat_map(|y| (0..width).map(move |x| (x, y))).map(|(x, y)| bent(x, y)).collect();
+    GrayImage::from_samples(width, height, samples).unwrap()
 }
 
 /// A gray stream at 30 Hz.

@@ -6,9 +6,10 @@ pub mod boards;
 mod browser;
 mod watching;
 
-use boards::{BOARD, camera, folder, held, mirrored, pictures, scene, scene_of, write_png, y4m};
+use boards::{BOARD, bent, camera, folder, held, mirrored, pictures, scene, scene_of, write_png, y4m};
 use odograph::formats::camera_file;
 use odograph::image::GrayImage;
+use odograph_simulation::Framing;
 use std::fs;
 use std::io::Write;
 use std::path::{Path, PathBuf};
@@ -188,6 +189,12 @@ fn input_without_board_is_refused_in_one_sentence() {
     fs::create_dir(place.path("texts")).unwrap();
     fs::write(place.path("texts/a.txt"), "not a picture").unwrap();
     place.refused(&usual("texts"), 3, &["texts: there are no pictures"]);
+    // The drawings of a run are no pictures of a board.
+    fs::create_dir(place.path("drive")).unwrap();
+    for name in ["run.toml", "trajectory.csv", "map.png"] {
+        fs::write(place.path(&format!("drive/{name}")), "").unwrap();
+    }
+    place.refused(&usual("drive"), 3, &["drive is the folder of a run, not of a recording"]);
     fs::write(place.path("text.png"), "not a picture").unwrap();
     place.refused(&usual("text.png"), 3, &["text.png"]);
 
@@ -318,6 +325,39 @@ fn an_interrupt_calibrates_with_the_views_so_far() {
         assert!(outcome.contains("warning: interrupted: only the first"), "{outcome}");
         assert_calibrated(&place, "camera", &done);
     }
+}
+
+#[test]
+fn a_bent_board_is_offered_with_its_bend_estimated() {
+    let place = CalibrationFolder::new();
+    let scene = scene();
+    let poses = scene.poses(14, Framing::Whole, 3);
+    let shown: Vec<GrayImage> = poses.iter().map(|pose| bent(&scene, &camera(), pose, 0.006)).collect();
+    folder(&place.path("shots"), &shown);
+    let usual = format!("shots --board {BOARD} -o camera.yaml --model brown4");
+    let done = place.calibrate(&usual);
+    let said = String::from_utf8(done.stdout).unwrap();
+    let offer = said.lines().find(|line| line.starts_with("With the board's bend estimated: "));
+    let offer = offer.unwrap_or_else(|| panic!("{said}"));
+    assert!(offer.contains("camera-report/bent-board.yaml") && offer.contains("--bent-board"), "{offer}");
+    let bent_file = fs::read_to_string(place.path("camera-report/bent-board.yaml")).unwrap();
+    assert!(bent_file.contains("bend_x"));
+    // One expected error: that of the file is what terminal and page have.
+    let file = fs::read_to_string(place.path("camera.yaml")).unwrap();
+    let stated = file.lines().find_map(|line| line.strip_prefix("expected_error_px: ")).unwrap();
+    let stated = odograph_report::calibration::pixels_text(stated.parse().unwrap());
+    assert!(said.contains(&format!("expected error of a ray {stated}")), "{stated} {said}");
+    let page = fs::read_to_string(place.path("camera-report/report.html")).unwrap();
+    assert!(page.contains(&format!("<em>Expected error of a ray</em><b>{stated}</b>")), "{stated}");
+    assert!(page.contains("href=\"bent-board.yaml\""));
+    // The bend estimated is what the option makes the result.
+    let figures = place.calibrate(&format!("{usual} --force --json"));
+    let figures: serde_json::Value = serde_json::from_slice(&figures.stdout).unwrap();
+    let asked = place.calibrate(&format!("{usual} --force --json --bent-board"));
+    let asked: serde_json::Value = serde_json::from_slice(&asked.stdout).unwrap();
+    assert_eq!(figures["bent_board"]["rms_px"], asked["rms_px"]);
+    assert!(asked["rms_px"].as_f64().unwrap() < 0.9 * figures["rms_px"].as_f64().unwrap(), "{figures}");
+    assert!(asked["bent_board"].is_null() && !place.path("camera-report/bent-board.yaml").exists());
 }
 
 /// The folder of real recordings, if it exists.

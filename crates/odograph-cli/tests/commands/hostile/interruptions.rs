@@ -123,6 +123,8 @@ fn a_killed_run_is_run_again_in_its_folder() {
     assert_refused(&place.run(&format!("{usual} -o out")), 2, message, "a second run");
     let away = "--resume runs what was begun in out as it was begun; leave --height away";
     assert_refused(&place.run("--resume out --height 2"), 2, away, "another height");
+    let nameless = "the run in out was begun without the name of a robot";
+    assert_refused(&place.run("--resume out --site http://127.0.0.1:9/"), 2, nameless, "a site");
     let done = place.run("--resume out -q");
     assert!(done.status.success(), "{}", String::from_utf8_lossy(&done.stderr));
     assert_whole(&place.path("out"));

@@ -42,6 +42,30 @@ fn invalid_outputs_are_refused() {
     assert_whole(&place.path("out"));
 }
 
+#[test]
+#[cfg(unix)]
+fn warnings_of_a_run_that_fails_are_kept() {
+    if !Path::new("/dev/full").exists() {
+        println!("skipped: dev-full: there is no /dev/full");
+        return;
+    }
+    let place = HostileFolder::new();
+    let mut recording = y4m(20);
+    recording.truncate(recording.len() - 100);
+    fs::write(place.path("drive.y4m"), recording).unwrap();
+    std::os::unix::fs::symlink("/dev/full", place.path("poses.mcap.part")).unwrap();
+    let done = place.run("drive.y4m --camera camera.yaml --height 1 -o out --bag-out poses.mcap");
+    let told = String::from_utf8(done.stderr).unwrap();
+    assert_eq!(done.status.code(), Some(3), "{told}");
+    let (warning, error) = ("the stream is cut off inside frame 19", "No space left on device");
+    assert_eq!(told.matches(error).count(), 1, "{told}");
+    let statistics: serde_json::Value = serde_json::from_slice(&place.result("out", "stats.json")).unwrap();
+    let kept: Vec<&str> =
+        statistics["warnings"].as_array().unwrap().iter().map(|warning| warning.as_str().unwrap()).collect();
+    assert!(kept.iter().any(|kept| kept.contains(warning)), "{kept:?}");
+    assert!(kept.iter().any(|kept| kept.contains("there is no bag") && kept.contains(error)), "{kept:?}");
+}
+
 /// `/dev/full` takes the place of each file in turn.
 #[test]
 #[cfg(unix)]
