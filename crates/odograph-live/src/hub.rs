@@ -159,7 +159,7 @@ impl Hub {
     }
 
     /// Adds a mark at the newest frame; returns its index and the mark, `None` if there is no frame
-    /// yet, if the maximum number of marks is reached or if the marks are closed. Control characters
+    /// yet, if there are as many marks as there may be, or if they are closed. Control characters
     /// are removed from the name and it is cut at 80 characters; an empty name becomes the mark's
     /// number.
     pub fn mark(&self, name: &str) -> Option<(usize, Mark)> {
