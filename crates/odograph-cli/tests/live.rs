@@ -392,7 +392,7 @@ fn the_page_shows_a_run_while_it_grows_and_afterwards() {
         browser.evaluate(&page, "document.querySelector('[data-layer=mask]').parentElement.hidden"),
         json!(false)
     );
-    // It asks before it ends the run, and goes on if told so.
+    // It asks before it ends the run, and goes on unless that is confirmed.
     browser.evaluate(&page, "document.getElementById('stop').click()");
     browser.evaluate(&page, "document.querySelector('#ask [value=\"\"]').click()");
     assert_eq!(browser.evaluate(&page, "document.getElementById('stop').disabled"), json!(false));

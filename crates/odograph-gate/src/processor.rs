@@ -23,8 +23,8 @@ pub fn busy_ms() -> f64 {
 /// in `f64`. It uses nothing of the library, so that no change of the library changes the unit.
 ///
 /// Vectors of 256 bits, which only the tracker uses, cost up to twice as much where the processor
-/// computes them in two halves: the ratios are then 1.5 times as large. The baseline is from such a
-/// processor.
+/// computes them in two halves; ratios to an earlier such workload were 1.5 times as large there.
+/// The baseline is from such a processor.
 #[derive(Debug)]
 pub struct Reference {
     image: Vec<u8>,

@@ -36,7 +36,7 @@ struct ViewerState {
     status: Status,
     statuses: u64,
     marks: Vec<Mark>,
-    /// Whether the marks are complete: none is set or renamed any more.
+    /// Whether the marks are final: they can be neither set nor renamed.
     marks_closed: bool,
     /// Number of changes of the marks; and of those of marks that viewers already have.
     marks_changed: u64,
@@ -210,13 +210,12 @@ impl Hub {
     /// Replaces all records by those of the finished run. Their latencies stay, which a finished
     /// run does not have.
     pub fn replace_records(&self, records: &[TrackRecord]) {
-        const LATENCY: usize = 13;
         let mut seen = self.seen();
         let mut fresh = TrackRecords::default();
         for (index, record) in records.iter().enumerate() {
             let mut record = *record;
-            if index < seen.records.count() && record.values[LATENCY].is_nan() {
-                record.values[LATENCY] = seen.records.from(index)[LATENCY];
+            if index < seen.records.count() && record.values[TrackRecord::LATENCY].is_nan() {
+                record.values[TrackRecord::LATENCY] = seen.records.from(index)[TrackRecord::LATENCY];
             }
             fresh.push(&record);
         }
@@ -523,14 +522,14 @@ mod tests {
         let mut viewer = hub.look();
         for k in 0..3 {
             let mut record = record(k as f32, 0.0);
-            record.values[13] = 4.0 + k as f32;
+            record.values[TrackRecord::LATENCY] = 4.0 + k as f32;
             hub.add_record(&record);
         }
         viewer.news(Duration::ZERO);
         let finals: Vec<TrackRecord> = (0..3)
             .map(|k| {
                 let mut record = record(k as f32, 9.0);
-                record.values[13] = f32::NAN;
+                record.values[TrackRecord::LATENCY] = f32::NAN;
                 record
             })
             .collect();
@@ -538,7 +537,7 @@ mod tests {
         let news = viewer.news(Duration::ZERO);
         let (first, values) = news.records.unwrap();
         assert!(news.replaced && first == 0 && values.len() == 3 * TrackRecord::LENGTH);
-        assert_eq!((values[1], values[TrackRecord::LENGTH + 13]), (9.0, 5.0));
+        assert_eq!((values[1], values[TrackRecord::LENGTH + TrackRecord::LATENCY]), (9.0, 5.0));
         assert!(!viewer.news(Duration::ZERO).replaced);
         // One that comes later has nothing that is void.
         assert!(!hub.look().news(Duration::ZERO).replaced);

@@ -65,19 +65,20 @@ impl Archive {
     pub fn write(&self, put: &mut dyn FnMut(&[u8]) -> io::Result<()>) -> io::Result<()> {
         let (mut central, mut offset) = (Vec::new(), 0u32);
         for entry in &self.entries {
-            let mut checksum = Crc32::default();
+            let mut checksum = crc32fast::Hasher::new();
             entry.each_piece(&mut |piece| {
-                checksum.add(piece);
+                checksum.update(piece);
                 Ok(())
             })?;
-            let described = entry.description(checksum.value());
+            let checksum = checksum.finalize();
+            let described = entry.description(checksum);
             put(&[&b"PK\x03\x04"[..], &VERSION.to_le_bytes(), &described, entry.name.as_bytes()].concat())?;
-            let mut sent = Crc32::default();
+            let mut sent = crc32fast::Hasher::new();
             entry.each_piece(&mut |piece| {
-                sent.add(piece);
+                sent.update(piece);
                 put(piece)
             })?;
-            if sent.value() != checksum.value() {
+            if sent.finalize() != checksum {
                 return Err(changed(entry));
             }
             central.extend([&b"PK\x01\x02"[..], &VERSION.to_le_bytes(), &VERSION.to_le_bytes()].concat());
@@ -128,42 +129,6 @@ impl Entry {
 
 fn changed(entry: &Entry) -> io::Error {
     io::Error::other(format!("{} has changed while it was sent", entry.name))
-}
-
-/// The checksum of ZIP: CRC-32 with the polynomial 0xEDB88320.
-struct Crc32(u32);
-
-impl Default for Crc32 {
-    fn default() -> Self {
-        Self(u32::MAX)
-    }
-}
-
-impl Crc32 {
-    const TABLE: [u32; 256] = {
-        let mut table = [0; 256];
-        let mut byte = 0;
-        while byte < 256 {
-            let (mut value, mut bit) = (byte as u32, 0);
-            while bit < 8 {
-                value = if value & 1 == 1 { 0xEDB8_8320 ^ (value >> 1) } else { value >> 1 };
-                bit += 1;
-            }
-            table[byte] = value;
-            byte += 1;
-        }
-        table
-    };
-
-    fn add(&mut self, bytes: &[u8]) {
-        for &byte in bytes {
-            self.0 = Self::TABLE[usize::from(self.0 as u8 ^ byte)] ^ (self.0 >> 8);
-        }
-    }
-
-    fn value(&self) -> u32 {
-        !self.0
-    }
 }
 
 #[cfg(test)]

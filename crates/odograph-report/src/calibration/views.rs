@@ -83,8 +83,8 @@ pub fn coverage(size: (usize, usize), views: &[ShownView<'_>], coverage: &ViewCo
     frame.drawing(&content, 0.0)
 }
 
-/// Opacity of a cell with so many points, of at most `most`. Logarithmic: the difference between
-/// none and a few counts, not that between hundreds and thousands.
+/// Opacity of a cell by its number of points; `most` is that of the fullest cell. Logarithmic: the
+/// difference between none and a few counts, not that between hundreds and thousands.
 fn shade(points: usize, most: usize) -> f64 {
     0.15 + 0.5 * (points as f64).ln_1p() / (most as f64).ln_1p()
 }

@@ -284,7 +284,7 @@ mod tests {
         let rgba = [200, 200, 200, 255].repeat(side * side);
         ground.show_written(GroundPicture::new(rgba, side, side, placement).unwrap());
         assert_eq!([0.1, 30.1].map(|x_m| shade(&ground, x_m)), [Some(200), None]);
-        // Viewers are told of all tiles once, including those that are now empty.
+        // All tiles are announced once, including those that are now empty.
         let changed = ground.changed_since(before.revision);
         assert!(changed.iter().any(|tile| ground.tile_rgba(*tile).is_none()), "{changed:?}");
         let now = TiledGround::state(&ground).unwrap().revision;

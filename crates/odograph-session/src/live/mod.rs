@@ -32,6 +32,7 @@ mod latency;
 mod mosaic_rendering;
 mod map_graph;
 mod mcap;
+mod page_layers;
 mod pipeline;
 mod recorder;
 mod sinks;

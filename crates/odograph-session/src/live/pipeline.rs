@@ -5,9 +5,9 @@ use super::capturing::{FAREWELL, FRAMES_WAITING, Farewell, PATIENCE, STATUS_EVER
 use super::ground::{LiveGround, MosaicUpdate};
 use super::latency::Latencies;
 use super::map_frame::{self, MapFrameUpdates};
-use super::map_graph::map_graph;
 use super::mcap::McapLog;
 use super::mosaic_rendering;
+use super::page_layers::{PageLayers, show_results};
 use super::recorder::Recorder;
 use super::sinks::{LiveFrame, LiveSinks, PoseSink};
 use super::source::LiveInput;
@@ -23,7 +23,7 @@ use crate::statistics::LiveStatistics;
 use crate::views::Posed;
 use odograph::camera::Rig;
 use odograph::error::{Error, Result};
-use odograph::geometry::{GroundPoint, PlaneTransform, Sim2};
+use odograph::geometry::{PlaneTransform, Sim2};
 use odograph::image::GrayImage;
 use odograph::mounting::OnlineCalibration;
 use odograph::odometry::{KeyframeEvent, Odometry, TrackView};
@@ -31,12 +31,8 @@ use odograph::pose_frame::PoseFrames;
 use odograph::trajectory::FrameEstimate;
 use odograph_live::capture::{Captured, Newest, Policy, Taken, Watch};
 use odograph_live::foxglove::TrackedImage;
-use odograph_live::{GroundPicture, Hub, Phase, Status, TrackRecord, View};
-use odograph_map::MapFile;
+use odograph_live::{Hub, Phase, Status, TrackRecord, View};
 use odograph_video::Frame;
-use serde_json::json;
-use std::fs;
-use std::path::Path;
 use std::sync::{Arc, Mutex, PoisonError};
 use std::thread;
 use std::time::{Duration, Instant};
@@ -50,13 +46,6 @@ const MAPPING_QUEUE: usize = 32;
 /// Queue length from which the map of a camera suspends loop search until the queue is empty:
 /// without it the map is faster than keyframes can come.
 const BEHIND: usize = 8;
-
-/// A mosaic with more pixels is not shown after the run: it would take a quarter of a gigabyte.
-const MAX_SHOWN_PIXELS: usize = 64 << 20;
-/// Elevations that the page shows at most; beyond it, every other one is dropped.
-const MAX_ELEVATIONS: usize = 4096;
-/// Columns of the mask that the page shows.
-const MASK_COLUMNS: usize = 64;
 
 /// Tracks a source until it ends or the run is asked to end, then writes everything.
 pub fn follow(
@@ -145,25 +134,6 @@ pub fn follow(
     Ok(outcome)
 }
 
-/// Shows path, mosaic and map as they were written. What cannot be read stays as it was during the
-/// run.
-fn show_results(hub: &Hub, ground: &LiveGround, folder: &Path) {
-    if let Ok(Some(picture)) = GroundPicture::of_run(folder, MAX_SHOWN_PIXELS) {
-        ground.show_written(picture);
-    }
-    let table = fs::read_to_string(folder.join("trajectory.csv"));
-    if let Some(records) = table.ok().and_then(|table| TrackRecord::from_csv(&table).ok()) {
-        hub.replace_records(&records);
-        let map = MapFile::open_read_only(&folder.join("map.gpkg")).and_then(|file| file.map());
-        if let Ok(map) = map {
-            let mut graph = map_graph(&map);
-            // The records are in the map frame already.
-            graph["corrections"] = json!([]);
-            hub.notify("map", &graph);
-        }
-    }
-}
-
 /// Closes the queues of the other threads however tracking ends, so that they end too.
 struct Closing<'a>(&'a Beside, Option<&'a McapLog>);
 
@@ -208,59 +178,6 @@ struct PageImage {
     record: usize,
     gray: GrayImage,
     tracks: Vec<TrackView>,
-}
-
-/// What the page shows besides path and ground: where the ground is not flat, and what of the image
-/// is not ground. Both change with keyframes.
-#[derive(Default)]
-struct PageLayers {
-    /// Places and elevations, metres.
-    elevations: Vec<[f64; 3]>,
-    /// Of the new places, one in so many is taken.
-    stride: usize,
-    mask_share: f64,
-}
-
-impl PageLayers {
-    fn show(&mut self, odometry: &Odometry, hub: &Hub, map_from_odometry: &Sim2) {
-        let rounded = |metres: f64| (1e3 * metres).round() / 1e3;
-        let place = |(point, elevation_m): (GroundPoint, f64)| {
-            let at = map_from_odometry.apply(point);
-            [at.x_m, at.y_m, elevation_m].map(rounded)
-        };
-        let fresh = odometry.elevations();
-        if !fresh.is_empty() {
-            self.elevations.extend(fresh.into_iter().step_by(self.stride.max(1)).map(place));
-            while self.elevations.len() > MAX_ELEVATIONS {
-                let mut index = 0;
-                self.elevations.retain(|_| {
-                    index += 1;
-                    index % 2 == 0
-                });
-                self.stride = 2 * self.stride.max(1);
-            }
-            hub.notify("elevations", &self.elevations);
-        }
-        let fixed = odometry.fixed_in_image();
-        if fixed.share() != self.mask_share
-            && let Some(mask) = fixed.mask()
-        {
-            self.mask_share = fixed.share();
-            let (width, height) = mask.size();
-            let rows = (MASK_COLUMNS * height / width.max(1)).max(1);
-            let middle = |cell: usize, cells: usize, length: usize| (2 * cell + 1) * length / (2 * cells);
-            let cells: String = (0..rows * MASK_COLUMNS)
-                .map(|cell| {
-                    (
-                        middle(cell % MASK_COLUMNS, MASK_COLUMNS, width),
-                        middle(cell / MASK_COLUMNS, rows, height),
-                    )
-                })
-                .map(|(x, y)| if mask.covers(x, y) { '1' } else { '0' })
-                .collect();
-            hub.notify("mask", &json!({ "columns": MASK_COLUMNS, "rows": rows, "cells": cells }));
-        }
-    }
 }
 
 /// The tracking stage.

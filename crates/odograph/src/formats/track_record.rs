@@ -16,6 +16,9 @@ impl TrackRecord {
     /// Number of values in a record.
     pub const LENGTH: usize = 15;
 
+    /// Index of the latency.
+    pub const LATENCY: usize = 13;
+
     /// Names of the values.
     ///
     /// * `time_s`: seconds since the first frame.
@@ -75,7 +78,7 @@ impl TrackRecord {
         values[10] = frame.segment as f32;
         values[11] = frame.tracks as f32;
         values[12] = frame.inliers as f32;
-        values[13] = latency_ms.map_or(f32::NAN, |ms| ms as f32);
+        values[Self::LATENCY] = latency_ms.map_or(f32::NAN, |ms| ms as f32);
         Self { values }
     }
 }
