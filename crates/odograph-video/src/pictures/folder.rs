@@ -1,6 +1,7 @@
 //! Image folders: selection, order and capture times of the images.
 
 use super::{decode, exif_data};
+use crate::foreign_file::WHAT_TO_GIVE;
 use crate::frame::Picture;
 use crate::opened::{Frames, Opened};
 use crate::source_options::SourceOptions;
@@ -44,10 +45,10 @@ pub(crate) fn open_folder(folder: &Path, options: &SourceOptions) -> Result<Open
                 name_of(subfolder)
             )
         }
-        None => "the folder is empty".to_string(),
+        None => format!("the folder is empty; {WHAT_TO_GIVE}"),
         Some(example) => {
             format!(
-                "there are no pictures (PNG, JPEG, TIFF, PGM, PPM) in this folder, only other things such as {example}"
+                "there are no pictures (PNG, JPEG, TIFF, PGM, PPM) in this folder, only other things such as {example}; {WHAT_TO_GIVE}"
             )
         }
     }))
