@@ -19,7 +19,9 @@ use std::str::FromStr;
 /// Prints absolute and relative errors, and the drift over each metre.
 #[derive(clap::Args)]
 #[command(
-    after_help = "The definitions are those of evo, so that figures can be compared; see docs/evaluation.md."
+    after_help = "The definitions are those of evo, so that figures can be compared; see docs/evaluation.md.\n\nExamples:\n  \
+                  odograph evaluate drive/trajectory.tum truth.tum\n  \
+                  odograph evaluate drive/trajectory.tum truth.tum --plot errors.svg"
 )]
 pub struct EvaluateArguments {
     /// The trajectory to judge (TUM or KITTI)
