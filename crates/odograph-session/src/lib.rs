@@ -103,7 +103,7 @@ pub use observer::Observer;
 pub use outcome::{RunEnd, RunOutcome};
 pub use output::MapUse;
 pub use place::PoseInMap;
-pub use plan::{FrameChoice, MarkerPlan, RunPlan, SourcePlan, check_recording};
+pub use plan::{FrameChoice, MarkerPlan, RunPlan, SourcePlan, check_recording, open_recording};
 pub use reference::ComparedReference;
 pub use report::{ReportInput, ReportMark, ReportMosaic, RunReporter};
 pub use resemblance::{AlikePlace, Resemblance, ResemblanceVerdict};

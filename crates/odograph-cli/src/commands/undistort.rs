@@ -97,8 +97,7 @@ pub fn undistort(arguments: UndistortArguments) -> Result<Outcome> {
         color: !arguments.gray,
         ..arguments.frames.source_options()
     };
-    odograph_session::check_recording(Path::new(&arguments.source))?;
-    let source = odograph_video::open(&arguments.source, &options)?;
+    let source = odograph_session::open_recording(&arguments.source, &options)?;
     let (width, height) = (source.info().width, source.info().height);
     let in_file = |error: Error| error.at(arguments.camera.display());
     let camera = camera_file::parse(&camera_text, Some((width, height))).map_err(in_file)?;
