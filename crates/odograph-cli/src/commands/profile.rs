@@ -90,7 +90,7 @@ fn save(SaveArguments { name, setup, force }: SaveArguments) -> Result<()> {
         ));
     }
     let text = profiles::text(&profile)?;
-    files::make_folder_of(&path)?;
+    let _made = files::MadeFolders::of_file(&path)?;
     files::write(&path, text.as_bytes())?;
     console::note(&format!("the profile {name} is in {}", path.display()));
     Ok(())

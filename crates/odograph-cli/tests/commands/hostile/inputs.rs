@@ -281,7 +281,7 @@ fn names_are_printed_on_their_line() {
         ("undistort N/drive.mp4 --camera N/camera.yaml --max-frames 3 -o N/flat", 0),
         ("view N/nowhere", 3),
         ("view N/camera.yaml", 3),
-        ("site serve N/camera.yaml", 3),
+        ("site serve N/camera.yaml", 2),
         ("site serve N/out", 3),
         ("site send N/out/map.gpkg --site http://127.0.0.1:9/ --robot cart", 3),
         ("board --board chessboard:9x6:25mm -o N/board.pdf", 0),

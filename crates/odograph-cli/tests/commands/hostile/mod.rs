@@ -4,6 +4,8 @@
 mod commands;
 mod inputs;
 mod interruptions;
+#[cfg(target_os = "linux")]
+mod output_options;
 mod outputs;
 mod plans;
 pub mod recording;
