@@ -144,8 +144,13 @@ pub fn read_text_within(path: &Path, most: u64) -> Result<String> {
         })
         .caused_by(error)
     })?;
-    String::from_utf8(bytes)
-        .map_err(|error| Error::input(format!("{} is not a text file", path.display())).caused_by(error))
+    String::from_utf8(bytes).map_err(|error| {
+        Error::input(format!(
+            "{} is not a text file, as camera, rig, sensor and parameter files are; give another file",
+            path.display()
+        ))
+        .caused_by(error)
+    })
 }
 
 /// Largest size of camera, rig and parameter files, bytes.

@@ -7,7 +7,8 @@ use odograph::error::{Error, Result};
 pub(crate) const START_BYTES: u64 = 4096;
 
 /// What to give, where a file is something else.
-pub(crate) const WHAT_TO_GIVE: &str = "give a video, a folder of pictures or a robot recording (MCAP, ROS bag)";
+pub(crate) const WHAT_TO_GIVE: &str =
+    "give a video, a folder of pictures or a robot recording (MCAP, ROS bag)";
 
 /// Fails if a file with these first bytes, [`START_BYTES`] of them or all, is not a recording.
 pub(crate) fn check(start: &[u8]) -> Result<()> {

@@ -114,6 +114,9 @@ pub(crate) fn open_kind(path: &Path, options: &SourceOptions) -> Result<Opened> 
         return open_pipe(pipe::standard_input()?, options);
     }
     let metadata = std::fs::metadata(path).map_err(|error| match error.kind() {
+        std::io::ErrorKind::NotFound if path.to_string_lossy().contains("://") => Error::input(
+            "this is an address, and recordings are files; odograph live follows cameras at http:// and rtsp://",
+        ),
         std::io::ErrorKind::NotFound => Error::input("there is no such file or folder"),
         _ => Error::input(format!("cannot be opened: {error}")),
     })?;
@@ -308,8 +311,11 @@ impl Source {
                 Clock::Container => source_time_s,
                 Clock::Rate(fps) => number as f64 / fps,
                 Clock::List(times) => *times.get(number as usize).ok_or_else(|| {
+                    let file =
+                        self.options.timestamps.as_deref().unwrap_or(Path::new("the file of timestamps"));
                     Error::input(format!(
-                        "the file of timestamps has {} times, but there are more frames",
+                        "{} has {} times, but there are more frames; give a time for each frame",
+                        file.display(),
                         times.len()
                     ))
                 })?,

@@ -242,7 +242,11 @@ fn files_with_a_wrong_extension_fail_with_a_reason() {
         ("notes.mp4", b"gone to lunch".to_vec(), "this is a text file, not a recording; give a video"),
         ("times.csv", b"time_s\n0\n1\n".to_vec(), "this is a text file, not a recording; give a video"),
         ("letter.pdf", b"%PDF-1.7\n".to_vec(), "this is a PDF document, not a recording; give a video"),
-        ("drive.zip", b"PK\x03\x04\x14".to_vec(), "a ZIP archive or an office document, not a recording; unpack it"),
+        (
+            "drive.zip",
+            b"PK\x03\x04\x14".to_vec(),
+            "a ZIP archive or an office document, not a recording; unpack it",
+        ),
         ("nothing.mp4", mp4(b""), "there is no index (moov box)"),
         (
             "unfinished.mp4",

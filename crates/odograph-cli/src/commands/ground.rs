@@ -142,7 +142,7 @@ fn size_of(image: &RgbImage) -> (usize, usize) {
 fn read_camera(path: &Path, size: (usize, usize)) -> Result<(Camera, Option<CameraUncertainty>)> {
     let text = files::read_text(path)?;
     let in_file = |error: Error| error.at(path.display());
-    let camera = camera_file::parse(&text, Some(size)).map_err(in_file)?;
+    let camera = odograph_session::parse_camera(path, &text, size)?;
     if (camera.width(), camera.height()) != size {
         return Err(Error::input(format!(
             "the frames are {}x{} but the camera is calibrated for {}x{}; calibrate at their size",

@@ -54,6 +54,11 @@ pub fn recordings(arguments: &RunArguments) -> Result<Option<Vec<ListedRecording
     if let Some(single) = given().find(|source| source.as_str() == "-" || source.ends_with(".toml")) {
         return Err(Error::usage(format!("{single} is run by itself, not among other recordings")));
     }
+    for (ending, option) in [(".yaml", "--camera"), (".yml", "--camera"), (".gpkg", "--map")] {
+        if let Some(other) = given().find(|source| source.ends_with(ending) && Path::new(source).is_file()) {
+            return Err(Error::usage(format!("{other} is no recording; give it with {option}")));
+        }
+    }
     let one_alone = [
         ("--timestamps", arguments.timestamps.is_some()),
         ("--gyro, --heading, --wheel, --range or a topic of them", !arguments.sensors.files().is_empty()),
@@ -148,6 +153,8 @@ pub fn run(recordings: &[ListedRecording], arguments: &RunArguments, folder: &Pa
         }
     };
     thread::scope(|scope| (0..workers).for_each(|_| drop(scope.spawn(work))));
+    // Where no recording could be followed.
+    let _ = std::fs::remove_dir(folder);
     let ends: Vec<End> = ends.into_iter().map(|end| end.into_inner().unwrap_or(End::NotBegun)).collect();
     print_summary(recordings, &ends, arguments, folder)?;
     worst(&ends)
