@@ -21,7 +21,13 @@ fn tip(error: &clap::Error, command: &clap::Command, arguments: &[OsString]) -> 
     };
     let (names, asked) = asked(command, arguments);
     match error.kind() {
-        ErrorKind::MissingRequiredArgument => example(asked).map(|example| format!("for example {example}")),
+        ErrorKind::MissingRequiredArgument => {
+            let missing = match error.get(ContextKind::InvalidArg) {
+                Some(ContextValue::Strings(missing)) => missing.as_slice(),
+                _ => &[],
+            };
+            example(asked, &names, missing).map(|example| format!("for example {example}"))
+        }
         ErrorKind::InvalidSubcommand => {
             let path = Path::new(context(ContextKind::InvalidSubcommand)?);
             let is_map = path.extension().is_some_and(|ending| ending == "gpkg");
@@ -66,11 +72,17 @@ fn asked<'a>(command: &'a clap::Command, arguments: &[OsString]) -> (Vec<&'a str
     (names, asked)
 }
 
-/// The first example in the help of a command.
-fn example(command: &clap::Command) -> Option<String> {
+/// The first example in the help of a command that has what is missing: `--map <FILE>`, `<SOURCE>`.
+fn example(command: &clap::Command, names: &[&str], missing: &[String]) -> Option<String> {
     let help = command.get_after_help()?.to_string();
-    let line =
-        help.split_once("Examples:")?.1.lines().find(|line| line.trim_start().starts_with("odograph "))?;
+    let options: Vec<&str> = missing
+        .iter()
+        .filter_map(|argument| argument.split(' ').next().filter(|name| name.starts_with("--")))
+        .collect();
+    let begins = format!("odograph {} ", names.join(" "));
+    let has_all = |line: &str| options.iter().all(|option| line.contains(option));
+    let lines = help.split_once("Examples:")?.1.lines();
+    let line = lines.map(str::trim_start).find(|line| line.starts_with(&begins) && has_all(line))?;
     Some(line.split(" #").next().unwrap_or(line).trim().to_owned())
 }
 
@@ -84,6 +96,8 @@ mod tests {
         for (arguments, tip) in [
             ("odograph board", "for example odograph board --board charuco:8x11:20mm -o board.pdf\n"),
             ("odograph localize a.jpg", "for example odograph localize photo.jpg --map hall.gpkg\n"),
+            ("odograph run a --control b", "--markers apriltag:36h11:80mm --control hall.csv -o drive/\n"),
+            ("odograph live", "for example odograph live "),
             ("odograph Cargo.toml", "it is a file or folder; write odograph run Cargo.toml\n"),
             ("odograph map Cargo.toml", "it is a file or folder; write odograph map info Cargo.toml\n"),
             ("odograph camera Cargo.toml", "write odograph camera show Cargo.toml\n"),
@@ -95,16 +109,16 @@ mod tests {
             let command = crate::command();
             let error = command.clone().try_get_matches_from(&words).unwrap_err();
             let said = with_tip(error, &command, &words).to_string();
-            assert!(said.contains(&format!("  tip: {tip}")) || said.contains(tip), "{arguments}: {said}");
+            assert!(said.contains(tip), "{arguments}: {said}");
             assert_eq!(said.matches("tip: ").count(), 1, "{arguments}: {said}");
         }
     }
 
     #[test]
-    fn what_exists_not_is_no_file_that_was_meant() {
+    fn a_misspelt_command_is_not_taken_for_a_file() {
         let words: Vec<OsString> = ["odograph", "runn"].map(OsString::from).into();
         let command = crate::command();
         let said = with_tip(command.clone().try_get_matches_from(&words).unwrap_err(), &command, &words);
-        assert!(said.to_string().contains("a similar subcommand exists: 'run'"), "{said}");
+        assert!(said.to_string().contains("similar subcommands exist"), "{said}");
     }
 }

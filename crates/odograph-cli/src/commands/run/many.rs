@@ -3,7 +3,7 @@
 
 use super::summary::tell_warnings;
 use super::{ConsoleObserver, Progress, RunArguments};
-use crate::{Outcome, console, interrupt};
+use crate::{Outcome, console, files, interrupt};
 use odograph::error::{Error, ErrorKind, Result};
 use odograph_session::{RunEnd, RunOutcome, RunStatistics};
 use serde::Serialize;
@@ -118,6 +118,9 @@ enum End {
 
 /// Runs all recordings and prints how each ended. A failure does not stop the others.
 pub fn run(recordings: &[ListedRecording], arguments: &RunArguments, folder: &Path) -> Result<Outcome> {
+    files::check_output_folder(folder)?;
+    // It is removed where no recording can be followed.
+    let _made = files::MadeFolders::new(folder)?;
     let cores = arguments
         .output
         .threads
@@ -153,8 +156,6 @@ pub fn run(recordings: &[ListedRecording], arguments: &RunArguments, folder: &Pa
         }
     };
     thread::scope(|scope| (0..workers).for_each(|_| drop(scope.spawn(work))));
-    // Where no recording could be followed.
-    let _ = std::fs::remove_dir(folder);
     let ends: Vec<End> = ends.into_iter().map(|end| end.into_inner().unwrap_or(End::NotBegun)).collect();
     print_summary(recordings, &ends, arguments, folder)?;
     worst(&ends)

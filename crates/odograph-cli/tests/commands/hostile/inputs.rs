@@ -222,6 +222,13 @@ fn lengths_have_units_and_implausible_heights_cause_warnings() {
             doubted
         );
     }
+    for (field, doubted) in [("120x90", true), ("120x90m", false)] {
+        let done = place.run(&format!("drive.y4m --field-of-view {field} -o {field}"));
+        let message = String::from_utf8_lossy(&done.stderr).into_owned();
+        let doubt =
+            "warning: --field-of-view 120x90 is read as metres; if centimetres are meant, write 120x90cm";
+        assert!(done.status.success() && message.contains(doubt) == doubted, "{message}");
+    }
     fs::write(place.path("rig.toml"), "height_m = 1\nroll_dg = 2").unwrap();
     let with_rig = "drive.y4m --camera camera.yaml --rig rig.toml -o rigged";
     place.refused(
