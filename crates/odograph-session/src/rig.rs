@@ -1,5 +1,5 @@
-//! Camera and rig files, which are easily mistaken for each other, and whether a height was meant in
-//! metres.
+//! Camera and rig files, which are easily mistaken for each other, and heights that were probably
+//! not meant in metres.
 
 use crate::files;
 use crate::observer::Observer;
