@@ -3,15 +3,47 @@
 pub use odograph_session::files::*;
 
 use odograph::error::Result;
+use std::fs;
 use std::path::{Path, PathBuf};
 
-/// Makes the folder that a file is to be written into, where it is missing.
-pub fn make_folder_of(path: &Path) -> Result<()> {
-    let folder = path.parent().unwrap_or(Path::new(""));
-    if folder.as_os_str().is_empty() {
-        return Ok(());
+/// Folders that were made for results, the innermost first. Those that are still empty when this is
+/// dropped are removed.
+#[must_use = "the folders are removed again unless something is written into them first"]
+#[derive(Default)]
+pub struct MadeFolders(Vec<PathBuf>);
+
+impl Drop for MadeFolders {
+    fn drop(&mut self) {
+        for folder in &self.0 {
+            let _ = fs::remove_dir(folder);
+        }
     }
-    make_folder(folder)
+}
+
+impl MadeFolders {
+    /// Makes a folder with those that it is in, as far as they are missing.
+    pub fn new(folder: &Path) -> Result<Self> {
+        if folder.as_os_str().is_empty() {
+            return Ok(Self::default());
+        }
+        let missing = |folder: &&Path| !folder.as_os_str().is_empty() && !folder.exists();
+        let made = Self(folder.ancestors().take_while(missing).map(Path::to_owned).collect());
+        make_folder(folder)?;
+        Ok(made)
+    }
+
+    /// The folder that a file is to be written into, made where it is missing.
+    pub fn of_file(path: &Path) -> Result<Self> {
+        Self::new(path.parent().unwrap_or(Path::new("")))
+    }
+}
+
+/// Removes a file, or a folder with all that is in it, as far as that is possible.
+pub fn remove(path: &Path) {
+    let _ = match path.is_dir() {
+        true => fs::remove_dir_all(path),
+        false => fs::remove_file(path),
+    };
 }
 
 /// Where results go that no option names: beside the input, with the input's name without its

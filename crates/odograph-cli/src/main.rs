@@ -7,6 +7,7 @@ mod files;
 mod interrupt;
 mod lengths;
 mod profiles;
+mod tips;
 mod wrong_number;
 
 use clap::{CommandFactory, FromArgMatches, Parser, Subcommand};
@@ -121,7 +122,11 @@ fn main() -> ExitCode {
     let matches = command().try_get_matches();
     let arguments = match matches.and_then(|matches| Arguments::from_arg_matches(&matches)) {
         Ok(arguments) => arguments,
-        Err(error) => return instead_of_arguments(&wrong_number::in_words(error)),
+        Err(error) => {
+            let error = wrong_number::in_words(error);
+            let arguments: Vec<_> = std::env::args_os().collect();
+            return instead_of_arguments(&tips::with_tip(error, &command(), &arguments));
+        }
     };
     interrupt::listen();
     let outcome: Result<Outcome> = match arguments.command {

@@ -32,8 +32,7 @@ impl MapClaim {
     /// if another process, or another part of this one, has it.
     pub fn on(map: &Path) -> Result<Self> {
         let lock = with_ending(&resolved(map), ".lock");
-        let cannot =
-            |error: std::io::Error| Error::output(format!("{} cannot be written: {error}", lock.display()));
+        let cannot = |error| Error::not_written(map.display(), error);
         loop {
             let mut file = OpenOptions::new()
                 .read(true)

@@ -47,7 +47,12 @@ impl Complaint {
             Some(ErrorCode::DatabaseBusy | ErrorCode::DatabaseLocked) => Error::output(format!(
                 "{path} cannot be written: another program is writing it; wait until that has ended"
             )),
-            Some(ErrorCode::DiskFull) => Error::output(format!("{path} cannot be written: the disk is full")),
+            Some(ErrorCode::DiskFull) => Error::output(format!(
+                "{path} cannot be written: the disk is full; free some space, or choose another place"
+            )),
+            Some(ErrorCode::SystemIoFailure) => Error::output(format!(
+                "{path} cannot be written: {failure}; the disk is full or has failed: choose another place"
+            )),
             _ => Error::output(format!("{path} cannot be written: {failure}")),
         }
     }

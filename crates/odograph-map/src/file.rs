@@ -185,10 +185,7 @@ impl MapFile {
             File::open(new)
                 .and_then(|file| file.sync_all())
                 .and_then(|()| std::fs::rename(new, claim.path()))
-                .map_err(|error| {
-                    Error::output(format!("{} cannot be written: {error}", claim.path().display()))
-                        .caused_by(error)
-                })
+                .map_err(|error| Error::not_written(claim.path().display(), error))
         });
         replaced.inspect_err(|_| {
             let _ = Self::remove(new);

@@ -162,17 +162,24 @@ pub(crate) fn check_bytes(path: &Path) -> Result<()> {
 /// Checks that the file begins as a database does; returns its header and its length.
 pub(crate) fn check_is_database(path: &Path) -> Result<(Vec<u8>, u64)> {
     let complaint = Complaint::about(path);
-    let cannot = |error: std::io::Error| complaint.input(format!("the map cannot be read: {error}"));
+    let cannot = |error: std::io::Error| match error.kind() {
+        std::io::ErrorKind::NotFound => complaint.input("the map cannot be read: there is no such file"),
+        _ => complaint.input(format!("the map cannot be read: {error}")),
+    };
     let mut head = Vec::new();
     // Before it is opened: a pipe would wait for its writer.
     let metadata = std::fs::metadata(path).map_err(cannot)?;
+    let inside = path.join("map.gpkg");
+    if inside.is_file() {
+        return Err(complaint.input(format!("this is the folder of a run; its map is {}", inside.display())));
+    }
     if !metadata.is_file() {
         return Err(complaint.input("this is not a file; a map is one file, written by odograph run"));
     }
     File::open(path).and_then(|file| file.take(100).read_to_end(&mut head)).map_err(cannot)?;
     if head.len() < 100 || !head.starts_with(b"SQLite format 3\0") {
         return Err(
-            complaint.input("this is not a map file (a map is an SQLite database, written by odograph run)")
+            complaint.input("this is not a map file; give the map.gpkg that odograph run has written")
         );
     }
     Ok((head, metadata.len()))

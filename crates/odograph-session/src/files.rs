@@ -9,18 +9,37 @@ use std::fs;
 use std::io::{self, BufWriter, Write};
 use std::path::{Path, PathBuf};
 
-/// Whether a file may be written at `path`, checked before any work: fails if it is there and may
-/// not be overwritten, or if its folder is missing.
-pub(crate) fn check_output(path: &Path, force: bool) -> Result<()> {
-    if path.is_dir() {
-        return Err(Error::usage(format!("{} is a folder; give the name of a file", path.display())));
+/// Whether a file may be written at `path`, checked before any work: fails if a folder or device is
+/// there, or a file that may not be overwritten.
+pub fn check_output_file(path: &Path, force: bool) -> Result<()> {
+    let shown = path.display();
+    if path.is_dir() || path.as_os_str().as_encoded_bytes().ends_with(b"/") {
+        return Err(Error::usage(format!("{shown} is a folder; give the name of a file")));
+    }
+    if path.exists() && !path.is_file() {
+        return Err(Error::usage(format!("{shown} is a device or a pipe; give the name of a file")));
     }
     if path.exists() && !force {
         return Err(Error::usage(format!(
-            "{} is already there; choose another name, or --force to overwrite it",
-            path.display()
+            "{shown} is already there; choose another name, or --force to overwrite it"
         )));
     }
+    Ok(())
+}
+
+/// Whether results may be written into a folder at `path`, checked before any work: fails if there
+/// is something else.
+pub fn check_output_folder(path: &Path) -> Result<()> {
+    match path.exists() && !path.is_dir() {
+        true => Err(Error::usage(format!("{} is a file; the results need a folder", path.display()))),
+        false => Ok(()),
+    }
+}
+
+/// [`check_output_file`] for what is written after minutes of work: fails also if the folder is
+/// missing or cannot be written into.
+pub(crate) fn check_output(path: &Path, force: bool) -> Result<()> {
+    check_output_file(path, force)?;
     let folder = path.parent().filter(|folder| !folder.as_os_str().is_empty());
     match folder.filter(|folder| !folder.is_dir()) {
         Some(folder) => Err(Error::usage(format!(
@@ -28,7 +47,18 @@ pub(crate) fn check_output(path: &Path, force: bool) -> Result<()> {
             path.display(),
             folder.display()
         ))),
-        None => Ok(()),
+        None => check_writable(path),
+    }
+}
+
+/// Whether a file can be made beside `path`.
+fn check_writable(path: &Path) -> Result<()> {
+    let beside = beside(path);
+    match fs::OpenOptions::new().write(true).create_new(true).open(&beside) {
+        Ok(_) => fs::remove_file(&beside).map_err(|error| cannot_be_written(path, error)),
+        // What a killed run has left, which the file to come will replace.
+        Err(error) if error.kind() == io::ErrorKind::AlreadyExists => Ok(()),
+        Err(error) => Err(cannot_be_written(path, error)),
     }
 }
 
@@ -46,7 +76,7 @@ pub fn write(path: &Path, bytes: &[u8]) -> Result<()> {
 
 /// The error of a file that cannot be written.
 pub(crate) fn cannot_be_written(path: &Path, error: io::Error) -> Error {
-    Error::output(format!("{} cannot be written: {error}", path.display())).caused_by(error)
+    Error::not_written(path.display(), error)
 }
 
 /// Writes a file that may exceed memory: `fill` writes it under a temporary name, then it is
@@ -85,12 +115,21 @@ pub fn read_text(path: &Path) -> Result<String> {
 pub fn make_folder(path: &Path) -> Result<()> {
     fs::create_dir_all(path).map_err(|error| {
         let there = path.ancestors().find(|place| place.symlink_metadata().is_ok());
-        let why = match there.filter(|place| !place.is_dir()) {
-            Some(link) if !link.exists() => format!("{} is a link that leads nowhere", link.display()),
-            Some(file) => format!("{} is not a folder", file.display()),
-            None => error.to_string(),
-        };
-        Error::output(format!("{} cannot be made: {why}", path.display())).caused_by(error)
+        match there.filter(|place| !place.is_dir()) {
+            Some(link) if !link.exists() => {
+                let why = format!("{} is a link that leads nowhere", link.display());
+                Error::output(format!("{} cannot be made: {why}", path.display())).caused_by(error)
+            }
+            Some(file) => {
+                let why = match file == path {
+                    true => "there is a file of this name".to_owned(),
+                    false => format!("{} is a file", file.display()),
+                };
+                Error::output(format!("the folder {} cannot be made: {why}; choose another", path.display()))
+                    .caused_by(error)
+            }
+            None => Error::not_made(path.display(), error),
+        }
     })
 }
 
@@ -105,8 +144,13 @@ pub fn read_text_within(path: &Path, most: u64) -> Result<String> {
         })
         .caused_by(error)
     })?;
-    String::from_utf8(bytes)
-        .map_err(|error| Error::input(format!("{} is not a text file", path.display())).caused_by(error))
+    String::from_utf8(bytes).map_err(|error| {
+        Error::input(format!(
+            "{} is not a text file, as camera, rig, sensor and parameter files are; give another file",
+            path.display()
+        ))
+        .caused_by(error)
+    })
 }
 
 /// Largest size of camera, rig and parameter files, bytes.

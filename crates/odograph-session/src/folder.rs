@@ -96,9 +96,7 @@ impl OutputFolder {
     /// may not be replaced, where another program writes, or where nothing can be written.
     pub fn new(path: &Path, output: &RunOutput) -> Result<Self> {
         let force = output.force;
-        if path.exists() && !path.is_dir() {
-            return Err(Error::usage(format!("{} is a file; the results need a folder", path.display())));
-        }
+        files::check_output_folder(path)?;
         let own_map = path.join("map.gpkg");
         let origin = output.origin()?;
         check_free(path, force)?;

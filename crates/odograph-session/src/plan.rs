@@ -126,7 +126,6 @@ impl SourcePlan {
     /// # Errors
     /// If it cannot be read, or the plan does not fit it.
     pub fn open(&self) -> Result<Source> {
-        check_recording(Path::new(&self.path))?;
         let options = SourceOptions {
             timestamps: self.timestamps.clone(),
             fps: self.fps,
@@ -137,8 +136,17 @@ impl SourcePlan {
             color: true,
             topic: self.topic.clone(),
         };
-        odograph_video::open(&self.path, &options)
+        open_recording(&self.path, &options)
     }
+}
+
+/// Opens a recording, unless it is the folder of a run.
+///
+/// # Errors
+/// As [`odograph_video::open`] and [`check_recording`].
+pub fn open_recording(source: impl AsRef<Path>, options: &SourceOptions) -> Result<Source> {
+    check_recording(source.as_ref())?;
+    odograph_video::open(source, options)
 }
 
 /// Refuses the folder of a run, whose drawings would be taken for frames.
@@ -146,14 +154,19 @@ impl SourcePlan {
 /// # Errors
 /// If the folder has the path of a run beside its parameters.
 pub fn check_recording(source: &Path) -> Result<()> {
-    if source.join("run.toml").is_file() && source.join("trajectory.csv").is_file() {
-        return Err(Error::input(format!(
-            "{0} is the folder of a run, not of a recording; odograph view {0} shows it, and odograph run {0}/run.toml \
-             repeats it",
-            source.display()
-        )));
+    let parameters = source.join("run.toml");
+    if !(parameters.is_file() && source.join("trajectory.csv").is_file()) {
+        return Ok(());
     }
-    Ok(())
+    let recording = RunPlan::read(&parameters).ok().map(|plan| plan.source.path);
+    let give = match recording.filter(|recording| recording != "-") {
+        Some(recording) => format!("give its recording, {recording}"),
+        None => "give its recording".to_owned(),
+    };
+    Err(Error::input(format!(
+        "{0} is the folder of a run, not of a recording; {give}, or look at it with odograph view {0}",
+        source.display()
+    )))
 }
 
 const HEADER: &str =

@@ -4,11 +4,11 @@ use crate::builder::{CameraChoice, MountChoice, RunBuilder};
 use crate::markers::MarkerWatch;
 use crate::observer::Observer;
 use crate::plan::{FrameChoice, RunPlan, SourcePlan};
-use crate::rig::{read_rig, recorded_rig};
+use crate::rig::{parse_camera, read_rig, recorded_rig};
 use crate::{budget, files};
 use odograph::camera::{Camera, LeverArm, Rig};
 use odograph::error::{Error, Result};
-use odograph::formats::{camera_file, rig_file};
+use odograph::formats::rig_file;
 use odograph::loop_closure::LoopClosureConfig;
 use odograph::motion::MotionModel;
 use odograph::odometry::OdometryConfig;
@@ -139,8 +139,8 @@ impl<'a> GivenCamera<'a> {
                 Err(Error::input("there is no such file or folder").at(&builder.source.path))
             }
             (None, None) => Err(Error::usage(
-                "no camera is given; give --camera FILE (and --height LENGTH), or --field-of-view WIDTHxHEIGHT in metres \
-                 as measured on the ground",
+                "no camera is given; give --camera FILE, as odograph calibrate writes it, and --height LENGTH; or \
+                 --field-of-view WIDTHxHEIGHT in metres as measured on the ground",
             )),
         }
     }
@@ -173,9 +173,7 @@ impl<'a> GivenCamera<'a> {
     /// The camera for images of this size, pixels.
     fn camera(self, size: (usize, usize), height_m: f64) -> Result<Camera> {
         match self {
-            Self::File(path, text) => {
-                camera_file::parse(&text, Some(size)).map_err(|error| error.at(path.display()))
-            }
+            Self::File(path, text) => parse_camera(path, &text, size),
             Self::Known(camera) => Ok(camera.clone()),
             Self::Field(field) => Camera::from_field_of_view(size, field, height_m),
             Self::Map(map) => Ok(map.camera().clone()),

@@ -17,7 +17,10 @@ impl RunBuilder {
     /// If the run in the folder is complete or goes on, or if the folder does not say what was run.
     pub fn resuming(folder: impl AsRef<Path>) -> Result<Self> {
         let folder = folder.as_ref();
-        let refused = |why: &str| Error::usage(format!("{} {why}", folder.display()));
+        let refused = |why: &str| {
+            let shown = folder.display().to_string();
+            Error::usage(format!("{shown} {}", why.replace("FOLDER", shown.trim_end_matches('/'))))
+        };
         if !folder.is_dir() {
             return Err(refused("is not the folder of a run"));
         }

@@ -1,8 +1,9 @@
-//! The rig file, and whether its height was meant in metres.
+//! Camera and rig files, which are easily mistaken for each other, and heights that were probably
+//! not meant in metres.
 
 use crate::files;
 use crate::observer::Observer;
-use odograph::camera::{LeverArm, Rig};
+use odograph::camera::{Camera, LeverArm, Rig};
 use odograph::error::{Error, Result};
 use odograph::formats::{camera_file, rig_file};
 use odograph_video::RecordedMount;
@@ -31,7 +32,6 @@ pub fn doubtful_unit(height_m: f64) -> Option<(&'static str, &'static str)> {
 pub fn read_rig(path: &Path, observer: &dyn Observer) -> Result<Rig> {
     let text = files::read_text(path)?;
     let rig = rig_file::parse(&text).map_err(|error| {
-        // The two are easily mistaken for each other.
         if camera_file::parse(&text, Some((640, 480))).is_ok() {
             return Error::input("this is a camera file, not a rig file; give it with --camera")
                 .at(path.display());
@@ -47,6 +47,20 @@ pub fn read_rig(path: &Path, observer: &dyn Observer) -> Result<Rig> {
         ));
     }
     Ok(rig)
+}
+
+/// The camera in the text of the file at `path`, for images of this size, pixels.
+///
+/// # Errors
+/// If it is no camera file.
+pub fn parse_camera(path: &Path, text: &str, size: (usize, usize)) -> Result<Camera> {
+    camera_file::parse(text, Some(size)).map_err(|error| {
+        if rig_file::parse(text).is_ok() {
+            return Error::input("this is a rig file, not a camera file; give it with --rig")
+                .at(path.display());
+        }
+        error.at(path.display())
+    })
 }
 
 /// The rig in the static transforms of a robot recording, at the given height or that over

@@ -36,10 +36,11 @@ impl RunBuilder {
         let same =
             |a: &Path, b: &Path| fs::canonicalize(a).is_ok_and(|a| fs::canonicalize(b).is_ok_and(|b| a == b));
         if same(Path::new(&self.source.path), &path) {
-            return Err(Error::usage(format!(
-                "{} is the folder of the recording; its results need another one (-o)",
-                path.display()
-            )));
+            let shown = path.display();
+            return Err(Error::usage(match path.is_dir() {
+                true => format!("{shown} is the folder of the recording; its results need another one (-o)"),
+                false => format!("{shown} is the recording itself; its results need a folder (-o)"),
+            }));
         }
         // What a killed run has left is not touched before its source can be read.
         let resumed = match &self.resumed {

@@ -51,6 +51,14 @@ const MAX_BYTES: u64 = 1 << 30;
 /// # Errors
 /// If the file cannot be read, is larger than a gigabyte, or is not text.
 pub fn read_trajectory_text(path: &Path) -> Result<String> {
+    let inside = path.join("trajectory.tum");
+    if inside.is_file() {
+        return Err(Error::input(format!(
+            "{} is the folder of a run; its path is {}",
+            path.display(),
+            inside.display()
+        )));
+    }
     let bytes = read_regular_file(path, MAX_BYTES).map_err(|error| {
         Error::input(match error.kind() {
             ErrorKind::FileTooLarge => {

@@ -5,6 +5,7 @@
 //! one, so that the luminance is not converted. It writes a line with the container timestamp of
 //! each frame (muxer `framecrc`) to its standard error, interleaved with its messages.
 
+use crate::foreign_file;
 use crate::frame::Picture;
 use crate::opened::{Frames, Opened};
 use crate::y4m;
@@ -34,6 +35,13 @@ const FORMATS: &str = "format=pix_fmts=yuv420p|yuvj420p|yuv422p|yuvj422p|yuv444p
 const CONTAINERS: &str = "mov,matroska,avi,mpeg,mpegts,flv,asf,ogg,mxf,gxf,ivf,nut,rm,dv,wtv,swf,nsv,gif,apng,webp_anim,jpegxl_anim,\
                           mpegvideo,m4v,vc1,obu,av1,dirac,h264,hevc,vvc,bmp_pipe,webp_pipe,jpegxl_pipe,j2k_pipe,exr_pipe,dpx_pipe,\
                           sgi_pipe,pam_pipe,qoi_pipe";
+
+/// Characters that are quoted of a message of ffmpeg.
+const MAX_QUOTED: usize = 200;
+/// Messages of ffmpeg that say no more than that a file is of no format that it may try. Where it
+/// misses an index it has only guessed from the name that the file is an MP4.
+const NOT_RECOGNISED: [&str; 3] =
+    ["Invalid data found when processing input", "moov atom not found", "not on whitelist"];
 
 /// Detected format of a file that this crate does not decode itself.
 pub(crate) enum Content<'a> {
@@ -83,6 +91,9 @@ fn open_with(program: Option<PathBuf>, path: &Path, content: Content<'_>, color:
         }));
     };
     let fail = |why: &str| {
+        // The place is named once, by whoever opens it.
+        let why = why.strip_prefix(&format!("file:{}: ", path.display())).unwrap_or(why);
+        let why: String = why.chars().take(MAX_QUOTED).collect();
         Error::input(match content {
             Content::Stream => format!("the stream cannot be read through ffmpeg: {why}"),
             Content::Video { codec, container, .. } => {
@@ -91,14 +102,13 @@ fn open_with(program: Option<PathBuf>, path: &Path, content: Content<'_>, color:
             Content::JpegStream => {
                 format!("this raw Motion JPEG stream cannot be decoded, not even with ffmpeg: {why}")
             }
-            Content::Unknown if why.contains("not on whitelist") => {
-                "this is not a picture or video of a kind known here: there is no container in it that says when its frames were taken".to_owned()
-            }
-            Content::Unknown => {
-                format!(
-                    "this is not a picture or video of a kind known here, and ffmpeg cannot read it either: {why}"
-                )
-            }
+            Content::Unknown if NOT_RECOGNISED.iter().any(|message| why.contains(message)) => format!(
+                "this is not a picture or video of a kind known here or to ffmpeg; it is damaged or no recording: copy it again, or {}",
+                foreign_file::WHAT_TO_GIVE
+            ),
+            Content::Unknown => format!(
+                "this is not a picture or video of a kind known here, and ffmpeg cannot read it either: {why}"
+            ),
         })
     };
     // `-fps_mode` exists since ffmpeg 5.1; its predecessor was `-vsync`.
@@ -274,6 +284,7 @@ impl Process {
         let said = self.message();
         if !said.is_empty() || failed {
             let ending = if failed { "stopped early" } else { "found damage" };
+            let said: String = said.chars().take(MAX_QUOTED).collect();
             self.warnings.push(format!(
                 "ffmpeg {ending}: {}",
                 if said.is_empty() { "it did not say why" } else { &said }
@@ -375,7 +386,7 @@ fn read_log(log: ChildStderr, messages: &Mutex<Messages>, mut on_time: impl FnMu
                 // The first message has the cause of a failure, the later ones mostly its
                 // consequences.
                 if messages.count == 0 {
-                    messages.first = without_speaker(text).chars().take(200).collect();
+                    messages.first = without_speaker(text).to_owned();
                 }
                 messages.count += 1;
             }
@@ -489,10 +500,21 @@ mod tests {
     fn errors_quote_the_message_of_ffmpeg() {
         let text = refusal(stand_in(), "fails", AV1);
         assert_eq!(text, "AV1 in Matroska cannot be decoded, not even with ffmpeg: no such luck");
+        let text = refusal(stand_in(), "fails", Content::Unknown);
+        assert!(text.ends_with("ffmpeg cannot read it either: no such luck"), "{text}");
         let text = refusal(stand_in(), "junk", AV1);
         assert!(text.contains("this is not a Y4M stream"), "{text}");
         let text = refusal(stand_in(), "silent", AV1);
         assert!(text.ends_with("it has no frames"), "{text}");
+    }
+
+    #[test]
+    #[cfg(unix)]
+    fn what_ffmpeg_does_not_know_is_refused_in_own_words() {
+        for path in ["unknown".to_owned(), format!("{}unknown", "folder/".repeat(40))] {
+            let text = refusal(stand_in(), &path, Content::Unknown);
+            assert!(text.contains("copy it again, or give a video") && !text.contains("Invalid"), "{text}");
+        }
     }
 
     #[test]

@@ -29,6 +29,7 @@ mod limits;
 mod regular_file;
 mod pipe;
 mod guard;
+mod foreign_file;
 mod frame;
 mod nal;
 mod source_options;

@@ -27,7 +27,10 @@ pub fn read_regular_file(path: &Path, most: u64) -> io::Result<Vec<u8>> {
 /// If it is not there, or is a folder, or a pipe, socket or device, which may never end
 /// ([`ErrorKind::InvalidInput`]).
 pub fn check_regular_file(path: &Path) -> io::Result<u64> {
-    let metadata = fs::metadata(path)?;
+    let metadata = fs::metadata(path).map_err(|error| match error.kind() {
+        ErrorKind::NotFound => io::Error::new(ErrorKind::NotFound, "there is no such file"),
+        _ => error,
+    })?;
     if metadata.is_file() {
         return Ok(metadata.len());
     }

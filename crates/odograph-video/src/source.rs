@@ -9,7 +9,7 @@ use crate::limits;
 use crate::opened::{Frames, Opened};
 use crate::source_options::SourceOptions;
 use crate::timestamps::Timestamps;
-use crate::{bag, ffmpeg, pictures, pipe, video, y4m};
+use crate::{bag, ffmpeg, foreign_file, pictures, pipe, video, y4m};
 use odograph::error::{Error, ErrorKind, Result};
 use std::fs::File;
 use std::io::{BufReader, Read, Seek};
@@ -81,6 +81,9 @@ pub fn open(path: impl AsRef<Path>, options: &SourceOptions) -> Result<Source> {
         .map_err(|error| at_place(error, &place))
 }
 
+/// Bytes at the start of a file that say its format.
+const MAGIC_BYTES: usize = 64;
+
 /// Box types at the start of an MP4 or QuickTime file.
 const MP4_STARTS: [&[u8]; 11] =
     [b"ftyp", b"moov", b"mdat", b"wide", b"free", b"skip", b"pnot", b"uuid", b"styp", b"sidx", b"moof"];
@@ -111,6 +114,9 @@ pub(crate) fn open_kind(path: &Path, options: &SourceOptions) -> Result<Opened> 
         return open_pipe(pipe::standard_input()?, options);
     }
     let metadata = std::fs::metadata(path).map_err(|error| match error.kind() {
+        std::io::ErrorKind::NotFound if path.to_string_lossy().contains("://") => Error::input(
+            "this is an address, and recordings are files; odograph live follows cameras at http:// and rtsp://",
+        ),
         std::io::ErrorKind::NotFound => Error::input("there is no such file or folder"),
         _ => Error::input(format!("cannot be opened: {error}")),
     })?;
@@ -130,15 +136,15 @@ pub(crate) fn open_kind(path: &Path, options: &SourceOptions) -> Result<Opened> 
         return open_pipe(pipe::open(path)?, options);
     }
     let mut file = File::open(path).map_err(|error| Error::input(format!("cannot be opened: {error}")))?;
-    let mut magic = Vec::new();
+    let mut start = Vec::new();
     file.by_ref()
-        .take(64)
-        .read_to_end(&mut magic)
+        .take(foreign_file::START_BYTES)
+        .read_to_end(&mut start)
         .and_then(|_| file.rewind())
         .map_err(|error| Error::input(format!("cannot be read: {error}")))?;
     let video = |reader| video::open(Some(path), reader, options.color);
-    match magic.as_slice() {
-        [] => Err(Error::input("the file is empty")),
+    match &start[..start.len().min(MAGIC_BYTES)] {
+        [] => Err(Error::input("the file is empty; record or copy it again")),
         m if m.starts_with(y4m::MAGIC) => {
             y4m::open(BufReader::with_capacity(1 << 18, file), Some(metadata.len()), options.color)
         }
@@ -150,6 +156,7 @@ pub(crate) fn open_kind(path: &Path, options: &SourceOptions) -> Result<Opened> 
             ffmpeg::open(path, ffmpeg::Content::JpegStream, options.color)
         }
         m if pictures::is_picture(m) => pictures::open_picture(path, options),
+        _ if let Err(error) = foreign_file::check(&start) => Err(error),
         [_, _, _, _, kind @ ..] if MP4_STARTS.iter().any(|start| kind.starts_with(start)) => {
             video(Box::new(Mp4Reader::open(file)?))
         }
@@ -304,8 +311,11 @@ impl Source {
                 Clock::Container => source_time_s,
                 Clock::Rate(fps) => number as f64 / fps,
                 Clock::List(times) => *times.get(number as usize).ok_or_else(|| {
+                    let file =
+                        self.options.timestamps.as_deref().unwrap_or(Path::new("the file of timestamps"));
                     Error::input(format!(
-                        "the file of timestamps has {} times, but there are more frames",
+                        "{} has {} times, but there are more frames; give a time for each frame",
+                        file.display(),
                         times.len()
                     ))
                 })?,

@@ -74,7 +74,10 @@ pub(crate) fn open<R: BufRead + Send + 'static>(
     let header = line(&mut reader)?;
     let mut tags = header.split(' ');
     if tags.next() != Some("YUV4MPEG2") {
-        return Err(Error::input("this is not a Y4M stream (it does not start with YUV4MPEG2)"));
+        return Err(Error::input(
+            "this is not a Y4M stream (it does not start with YUV4MPEG2); give the name of the file, or a pipe from \
+             ffmpeg -i FILE -f yuv4mpegpipe -",
+        ));
     }
     let (mut width, mut height, mut rate, mut full_range) = (0, 0, None, false);
     let mut tag_of_layout = "420jpeg";

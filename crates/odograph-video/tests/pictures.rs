@@ -212,9 +212,9 @@ fn tiff_pictures() {
 #[test]
 fn invalid_sources_fail_with_one_sentence() {
     assert!(sentence(Path::new("/nowhere/at/all.mp4")).ends_with("there is no such file or folder"));
-    assert!(sentence(folder(&[]).path()).ends_with("the folder is empty"));
+    assert!(sentence(folder(&[]).path()).contains("the folder is empty; give a video, a folder of pictures"));
     let texts = folder(&[("b.txt", b"x".to_vec()), ("a.txt", b"x".to_vec())]);
-    assert!(sentence(texts.path()).ends_with("only other things such as a.txt"));
+    assert!(sentence(texts.path()).contains("only other things such as a.txt; give a video"));
     let outer = folder(&[("left/1.png", gray_png(0)), ("readme", b"x".to_vec())]);
     assert!(sentence(outer.path()).ends_with("give the folder left that is in it"));
 
@@ -239,6 +239,14 @@ fn files_with_a_wrong_extension_fail_with_a_reason() {
     let files = [
         ("empty.mp4", Vec::new(), "the file is empty"),
         ("random.mp4", random.clone(), "not a picture or video of a kind known here"),
+        ("notes.mp4", b"gone to lunch".to_vec(), "this is a text file, not a recording; give a video"),
+        ("times.csv", b"time_s\n0\n1\n".to_vec(), "this is a text file, not a recording; give a video"),
+        ("letter.pdf", b"%PDF-1.7\n".to_vec(), "this is a PDF document, not a recording; give a video"),
+        (
+            "drive.zip",
+            b"PK\x03\x04\x14".to_vec(),
+            "a ZIP archive or an office document, not a recording; unpack it",
+        ),
         ("nothing.mp4", mp4(b""), "there is no index (moov box)"),
         (
             "unfinished.mp4",

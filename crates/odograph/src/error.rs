@@ -2,6 +2,7 @@
 
 use std::error::Error as Cause;
 use std::fmt;
+use std::io;
 
 /// The category of an error; decides the exit code of the program.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
@@ -53,6 +54,16 @@ impl Error {
         Self::new(ErrorKind::Output, message)
     }
 
+    /// An [`ErrorKind::Output`] error of a file or folder that cannot be written, with what to do.
+    pub fn not_written(place: impl fmt::Display, why: io::Error) -> Self {
+        Self::output(format!("{place} cannot be written: {why}{}", remedy(why.kind()))).caused_by(why)
+    }
+
+    /// An [`ErrorKind::Output`] error of a folder that cannot be made, with what to do.
+    pub fn not_made(place: impl fmt::Display, why: io::Error) -> Self {
+        Self::output(format!("{place} cannot be made: {why}{}", remedy(why.kind()))).caused_by(why)
+    }
+
     /// The category of this error.
     pub fn kind(&self) -> ErrorKind {
         self.kind
@@ -85,6 +96,18 @@ impl Error {
     }
 }
 
+/// What to do where a file or folder cannot be written.
+fn remedy(why: io::ErrorKind) -> &'static str {
+    use io::ErrorKind::{NotADirectory, PermissionDenied, QuotaExceeded, ReadOnlyFilesystem, StorageFull};
+    match why {
+        StorageFull | QuotaExceeded => "; free some space, or choose another place",
+        ReadOnlyFilesystem | PermissionDenied => "; choose a place where you may write",
+        NotADirectory => "; a part of its path is a file, so choose another place",
+        io::ErrorKind::NotFound => "; make its folder, or choose another place",
+        _ => "",
+    }
+}
+
 impl fmt::Display for Error {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         f.write_str(&self.message)?;
@@ -101,7 +124,6 @@ impl Cause for Error {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use std::io;
 
     #[test]
     fn the_cause_of_an_error_can_be_asked_for_and_its_message_stays() {
@@ -111,6 +133,16 @@ mod tests {
         let cause = error.source().and_then(|cause| cause.downcast_ref::<io::Error>());
         assert_eq!(cause.map(io::Error::kind), Some(io::ErrorKind::NotFound));
         assert!(Error::usage("no camera is given").source().is_none());
+    }
+
+    #[test]
+    fn what_cannot_be_written_says_what_to_do() {
+        let full = Error::not_written("drive/map.png", io::ErrorKind::StorageFull.into());
+        assert_eq!(full.kind(), ErrorKind::Output);
+        assert!(full.to_string().starts_with("drive/map.png cannot be written: "), "{full}");
+        assert!(full.to_string().ends_with("; free some space, or choose another place"), "{full}");
+        let other = Error::not_written("a", io::Error::other("the cable is out"));
+        assert_eq!(other.to_string(), "a cannot be written: the cable is out");
     }
 
     #[test]

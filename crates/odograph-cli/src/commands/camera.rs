@@ -96,17 +96,10 @@ fn convert(arguments: &ConvertArguments) -> Result<()> {
     };
     let camera = read(&arguments.input, arguments.size)?;
     let text = camera_file::write_as(&camera, format).map_err(|error| error.at(arguments.input.display()))?;
-    match to_file {
-        None => console::print(&text),
-        Some(path) if path.exists() && !arguments.force => Err(Error::usage(format!(
-            "{} is already there; choose another name or give --force",
-            path.display()
-        ))),
-        Some(path) => {
-            files::make_folder_of(path)?;
-            files::write(path, text.as_bytes())
-        }
-    }
+    let Some(path) = to_file else { return console::print(&text) };
+    files::check_output_file(path, arguments.force)?;
+    let _made = files::MadeFolders::of_file(path)?;
+    files::write(path, text.as_bytes())
 }
 
 fn size(text: &str) -> std::result::Result<(usize, usize), String> {

@@ -72,10 +72,11 @@ pub fn completions(arguments: CompletionsArguments) -> Result<Outcome> {
 
 /// Writes a page for the program and one for each command.
 fn write_pages(mut command: clap::Command, folder: &Path) -> Result<Outcome> {
+    files::check_output_folder(folder)?;
     command.build();
     let mut pages = Vec::new();
     collect(&command, "odograph".to_owned(), &mut pages)?;
-    files::make_folder(folder)?;
+    let _made = files::MadeFolders::new(folder)?;
     for (name, page) in &pages {
         files::write(&folder.join(format!("{name}.1")), page)?;
     }

@@ -86,9 +86,10 @@ fn free(folder: &Path) -> PathBuf {
 /// Runs the command.
 pub fn demo(arguments: DemoArguments) -> Result<Outcome> {
     let folder = &arguments.output;
+    files::check_output_folder(folder)?;
     check_free(folder, arguments.force)?;
     let unpacked = folder.join("input");
-    files::make_folder(&unpacked)?;
+    let _made = files::MadeFolders::new(&unpacked)?;
     for (name, bytes) in INPUTS {
         files::write(&unpacked.join(name), bytes)?;
     }

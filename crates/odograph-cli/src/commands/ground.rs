@@ -15,6 +15,7 @@ use odograph::geometry::Pixel;
 use odograph::image::RgbImage;
 use odograph_calibration::BoardDirection;
 use odograph_video::SourceOptions;
+use std::fs;
 use std::path::{Path, PathBuf};
 
 /// Measure height, roll, pitch and yaw of the mounted camera.
@@ -96,12 +97,7 @@ pub fn ground(arguments: GroundArguments) -> Result<Outcome> {
     let output = arguments.output.clone().unwrap_or_else(|| files::free_beside(source, "-rig.toml"));
     let picture_path = picture_path(&output)?;
     for path in [&output, &picture_path] {
-        if path.exists() && !arguments.force {
-            return Err(Error::usage(format!(
-                "{} is already there; choose another name or give --force",
-                path.display()
-            )));
-        }
+        files::check_output_file(path, arguments.force)?;
     }
     let measured = match &arguments.board {
         Some(board) => board::measure(&arguments, board.parse()?)?,
@@ -109,9 +105,11 @@ pub fn ground(arguments: GroundArguments) -> Result<Outcome> {
     };
     let camera = read_camera(&arguments.camera, size_of(&measured.frame))?.0;
     let drawn = picture::drawn(&camera, &measured)?;
-    files::make_folder_of(&output)?;
-    files::write(&output, rig_file::write_measured(&measured.rig).as_bytes())?;
+    let _made = files::MadeFolders::of_file(&output)?;
     files::write(&picture_path, &drawn)?;
+    files::write(&output, rig_file::write_measured(&measured.rig).as_bytes()).inspect_err(|_| {
+        let _ = fs::remove_file(&picture_path);
+    })?;
     measured.warnings.iter().for_each(|warning| console::warn(warning));
     if !arguments.quiet {
         console::print(&format!(
@@ -144,7 +142,7 @@ fn size_of(image: &RgbImage) -> (usize, usize) {
 fn read_camera(path: &Path, size: (usize, usize)) -> Result<(Camera, Option<CameraUncertainty>)> {
     let text = files::read_text(path)?;
     let in_file = |error: Error| error.at(path.display());
-    let camera = camera_file::parse(&text, Some(size)).map_err(in_file)?;
+    let camera = odograph_session::parse_camera(path, &text, size)?;
     if (camera.width(), camera.height()) != size {
         return Err(Error::input(format!(
             "the frames are {}x{} but the camera is calibrated for {}x{}; calibrate at their size",

@@ -90,7 +90,7 @@ fn save(SaveArguments { name, setup, force }: SaveArguments) -> Result<()> {
         ));
     }
     let text = profiles::text(&profile)?;
-    files::make_folder_of(&path)?;
+    let _made = files::MadeFolders::of_file(&path)?;
     files::write(&path, text.as_bytes())?;
     console::note(&format!("the profile {name} is in {}", path.display()));
     Ok(())
@@ -117,7 +117,7 @@ fn checked(setup: CameraSetup) -> Result<Profile> {
     let absolute = |path: Option<PathBuf>| path.as_deref().map(profiles::absolute).transpose();
     Ok(Profile {
         camera: absolute(setup.camera)?,
-        field_of_view_m: setup.field_of_view.map(|FieldOfView(width_m, height_m)| (width_m, height_m)),
+        field_of_view_m: setup.field_of_view.map(|field: FieldOfView| (field.width_m, field.height_m)),
         rig: absolute(setup.rig)?,
         height_m: setup.height.map(|height| height.metres),
         readout_ms: setup.readout_ms,

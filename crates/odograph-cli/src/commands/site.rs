@@ -265,6 +265,7 @@ fn serve(arguments: &ServeSiteArguments) -> Result<Outcome> {
     drop(TcpListener::bind(arguments.listen).map_err(|error| {
         Error::usage(format!("the page cannot be served at {}: {error}", arguments.listen))
     })?);
+    files::check_output_folder(&arguments.folder)?;
     files::make_folder(&arguments.folder)?;
     let site = Arc::new(Site::open(&arguments.folder)?);
     let server = SiteServer::start(arguments.listen, Arc::clone(&site), token)?;

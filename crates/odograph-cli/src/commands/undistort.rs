@@ -7,7 +7,6 @@ use super::frame_selection::FrameSelection;
 use crate::{Outcome, console, files};
 use odograph::correction::{FieldOfViewKept, ImageCorrection};
 use odograph::error::{Error, Result};
-use odograph::formats::camera_file;
 use odograph_video::SourceOptions;
 use output::UndistortedOutput;
 use std::path::{Path, PathBuf};
@@ -97,11 +96,10 @@ pub fn undistort(arguments: UndistortArguments) -> Result<Outcome> {
         color: !arguments.gray,
         ..arguments.frames.source_options()
     };
-    odograph_session::check_recording(Path::new(&arguments.source))?;
-    let source = odograph_video::open(&arguments.source, &options)?;
+    let source = odograph_session::open_recording(&arguments.source, &options)?;
     let (width, height) = (source.info().width, source.info().height);
     let in_file = |error: Error| error.at(arguments.camera.display());
-    let camera = camera_file::parse(&camera_text, Some((width, height))).map_err(in_file)?;
+    let camera = odograph_session::parse_camera(&arguments.camera, &camera_text, (width, height))?;
     if (camera.width(), camera.height()) != (width, height) {
         return Err(Error::input(format!(
             "the frames of {} are {width}x{height} but the camera is calibrated for {}x{}; calibrate at the recording's size",

@@ -170,6 +170,7 @@ fn write_inputs(folder: &Path) {
         ("sim.avi", "drive.mp4"),
         ("sim.avi", "monday.mp4"),
         ("sim.avi", "tuesday.mp4"),
+        ("sim.avi", "yard.mp4"),
     ] {
         fs::copy(simulated.join(from), folder.join(to)).unwrap();
     }
@@ -189,8 +190,6 @@ fn write_inputs(folder: &Path) {
     done(folder, "run drive.mp4 --camera camera.yaml --height 0.75 -o monday -q");
     fs::create_dir(folder.join("odograph-demo")).unwrap();
     copy(&folder.join("monday"), &folder.join("odograph-demo"));
-    done(folder, "run drive.mp4 --camera camera.yaml --height 0.75 --start 1 -o yard --robot b -q");
-    fs::rename(folder.join("yard/map.gpkg"), folder.join("yard.gpkg")).unwrap();
 }
 
 /// A camera above a board on the floor.
@@ -259,6 +258,89 @@ fn remove_output(folder: &Path, command: &str) {
                 let _ = fs::remove_file(written);
                 let _ = fs::remove_dir_all(written);
             }
+        }
+    }
+}
+
+/// The recordings that the reader of the guide for newcomers has made.
+const BROUGHT: [&str; 8] = [
+    "board.mp4",
+    "floor*.jpg",
+    "drive.mp4",
+    "monday.mp4",
+    "tuesday.mp4",
+    "yard.mp4",
+    "photo.jpg",
+    "truth.tum",
+];
+
+/// The commands of the guide for newcomers, without comments, that this program runs.
+fn guide() -> Vec<String> {
+    let path = root().join("docs/getting-started.md");
+    let shown = shown_in(&path, &fs::read_to_string(&path).unwrap());
+    let commands = shown.into_iter().map(|shown| shown.command.split(" #").next().unwrap().trim().to_owned());
+    commands.filter(|command| command.starts_with("odograph ")).collect()
+}
+
+#[test]
+fn the_guide_for_newcomers_reads_what_it_has_written() {
+    let mut written: Vec<String> = Vec::new();
+    for command in guide() {
+        let mut words = command.split(' ').filter(|word| !word.is_empty()).skip(1).peekable();
+        let mut outputs = Vec::new();
+        while let Some(word) = words.next() {
+            if word == "-o" {
+                outputs.push(words.next().unwrap().trim_end_matches('/').to_owned());
+                continue;
+            }
+            let ending = word.rsplit_once('.').map_or("", |(_, ending)| ending);
+            let is_file = ["mp4", "jpg", "yaml", "toml", "gpkg", "tum", "txt"].contains(&ending)
+                || word.contains('/')
+                || word == "odograph-demo";
+            let is_there = |folder: &String| word == folder || word.starts_with(&format!("{folder}/"));
+            assert!(
+                !is_file
+                    || word.starts_with("/dev/")
+                    || BROUGHT.contains(&word)
+                    || written.iter().any(is_there),
+                "{command}: nothing before it writes {word}"
+            );
+        }
+        for output in outputs {
+            assert!(!written.contains(&output), "{command}: a command before it writes {output}");
+            written.push(output);
+        }
+        if command == "odograph demo" {
+            written.push("odograph-demo".to_owned());
+        }
+    }
+    assert!(written.len() > 10, "{written:?}");
+}
+
+#[test]
+#[ignore = "minutes; before a release"]
+fn the_guide_for_newcomers_works_as_written() {
+    let (inputs, place) = (tempfile::tempdir().unwrap(), tempfile::tempdir().unwrap());
+    write_inputs(inputs.path());
+    let folder = place.path();
+    for entry in fs::read_dir(inputs.path()).unwrap().map(|entry| entry.unwrap().path()) {
+        let name = entry.file_name().unwrap().to_str().unwrap();
+        let is_floor = name.starts_with("floor") && name.ends_with(".jpg");
+        if is_floor || BROUGHT.contains(&name) {
+            fs::copy(&entry, folder.join(name)).unwrap();
+        }
+    }
+    fs::create_dir(folder.join(".bin")).unwrap();
+    symlink(env!("CARGO_BIN_EXE_odograph"), folder.join(".bin/odograph")).unwrap();
+    for command in guide().iter().filter(|command| !command.contains("/dev/video0")) {
+        println!("{command}");
+        if is_server(command) {
+            let (child, address) = served(folder, &command.replace("--serve", "--serve 127.0.0.1:0"));
+            assert!(!address.is_empty(), "{command}");
+            assert!(matches!(interrupted(child), Some(0 | 130)), "{command}");
+        } else {
+            let Output { status, stderr, .. } = shell(folder, command).output().unwrap();
+            assert!(status.success(), "{command}: {}", String::from_utf8_lossy(&stderr));
         }
     }
 }

@@ -50,6 +50,12 @@ fn a_folder_of_videos_gives_the_results_of_single_runs() {
     assert!(figures[0]["error"].is_string() && figures[1]["statistics"]["frames"] == 21, "{figures}");
     assert!(here.join("some/one/trajectory.tum").is_file() && !here.join("some/broken").exists());
 
+    // Where none can be followed there is no folder.
+    let none = odograph(here, &format!("run broken.mp4 none.mp4 {camera} -o none"));
+    assert_eq!((none.status.code(), here.join("none").exists()), (Some(3), false));
+    let file = odograph(here, &format!("run videos {camera} -o broken.mp4"));
+    assert_eq!(file.status.code(), Some(2), "{}", String::from_utf8_lossy(&file.stderr));
+
     // Options for a single recording are refused for several.
     let refused = odograph(here, &format!("run videos {camera} --timestamps times.txt -o refused"));
     assert_eq!(refused.status.code(), Some(2));

@@ -182,12 +182,10 @@ impl McapFile {
 }
 
 fn cannot_be_written(path: &Path, error: McapError) -> Error {
-    let cannot =
-        |why: &dyn std::fmt::Display| Error::output(format!("{} cannot be written: {why}", path.display()));
     match error {
         // Its own message does not say what the system's is.
-        McapError::Io(error) => cannot(&error).caused_by(error),
-        error => cannot(&error),
+        McapError::Io(error) => Error::not_written(path.display(), error),
+        error => Error::output(format!("{} cannot be written: {error}", path.display())).caused_by(error),
     }
 }
 

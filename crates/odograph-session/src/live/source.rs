@@ -80,6 +80,11 @@ pub fn open_live_input(
         return Ok(never_late(Box::new(stream)));
     }
     let streams = name == "-";
+    if !streams && !name.contains("://") && !Path::new(name).exists() {
+        return Err(Error::input(format!(
+            "{name}: there is no such file or camera; odograph cameras lists the cameras of this machine"
+        )));
+    }
     // A pipe has its own pace: its newest frame is the present one.
     let speed = options.realtime.filter(|_| !streams);
     let policy = if speed.is_some() || streams { Policy::NewestWins } else { Policy::Wait };

@@ -97,10 +97,14 @@ impl AviReader {
             }
         }
         if state != Head::Complete {
-            return Err(Error::input("there is no video in this AVI file, or its head is damaged"));
+            return Err(Error::input(
+                "there is no video in this AVI file, or its head is damaged; copy or record it again",
+            ));
         }
         if self.first_sample == 0 {
-            return Err(Error::input("the AVI file is cut off before its first frame"));
+            return Err(Error::input(
+                "the AVI file is cut off before its first frame; copy or record it again",
+            ));
         }
         Ok(())
     }

@@ -97,7 +97,7 @@ impl MatroskaReader {
         }
         if !tracks_seen {
             return Err(Error::input(
-                "there is no track in this Matroska file, or the file is cut off before them",
+                "there is no track in this Matroska file, or the file is cut off before them; copy or record it again",
             ));
         }
         if let (Some(duration), Some(frame_s)) = (duration_ticks, frame_s) {

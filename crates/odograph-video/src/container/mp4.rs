@@ -40,9 +40,9 @@ impl Mp4Reader {
         let promised = samples.len();
         if promised == 0 {
             return Err(Error::input(if index.cut {
-                "the file is cut off inside its index (the moov box), before the places of its frames"
+                "the file is cut off inside its index (the moov box), before the places of its frames; copy or record it again"
             } else {
-                "the video in this file has no frames"
+                "the video in this file has no frames; record it again"
             }));
         }
         let complete = samples.iter().position(|s| s.offset.saturating_add(u64::from(s.size)) > length);
@@ -66,7 +66,9 @@ impl Mp4Reader {
             edits.clear();
         }
         if samples.is_empty() {
-            return Err(Error::input(format!("the file is cut off: none of its {promised} frames is there")));
+            return Err(Error::input(format!(
+                "the file is cut off: none of its {promised} frames is there; copy or record it again"
+            )));
         }
         if !edits.is_empty() && samples.iter().all(|s| time_of(&edits, 1.0, s.time).is_none()) {
             warnings.push("the edit list shows no frame at all and was ignored".to_string());
@@ -196,7 +198,9 @@ fn read_index(file: &mut BufReader<File>, length: u64, warnings: &mut Vec<String
         None if data_seen => Err(Error::input(
             "the index (the moov box) is missing: the recording was cut off or never finished, and without its index no frame can be found; a repair tool such as untrunc can rebuild it from another recording of the same camera",
         )),
-        None => Err(Error::input("there is no index (moov box) and no video in this MP4 file")),
+        None => Err(Error::input(
+            "there is no index (moov box) and no video in this MP4 file; copy or record it again",
+        )),
     }
 }
 

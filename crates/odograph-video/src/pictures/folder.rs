@@ -1,6 +1,7 @@
 //! Image folders: selection, order and capture times of the images.
 
 use super::{decode, exif_data};
+use crate::foreign_file::WHAT_TO_GIVE;
 use crate::frame::Picture;
 use crate::opened::{Frames, Opened};
 use crate::source_options::SourceOptions;
@@ -11,6 +12,8 @@ use std::collections::HashMap;
 use std::path::{Path, PathBuf};
 
 const EXTENSIONS: [&str; 8] = ["png", "jpg", "jpeg", "tif", "tiff", "pgm", "ppm", "pnm"];
+/// Extensions of the most usual videos, to name one where a folder of pictures was expected.
+const VIDEO_EXTENSIONS: [&str; 7] = ["mp4", "mov", "mkv", "webm", "avi", "m4v", "y4m"];
 
 /// Opens an image folder, including the layouts of EuRoC (`data.csv` beside `data/`) and TUM
 /// (`rgb.txt` beside `rgb/`).
@@ -44,10 +47,13 @@ pub(crate) fn open_folder(folder: &Path, options: &SourceOptions) -> Result<Open
                 name_of(subfolder)
             )
         }
-        None => "the folder is empty".to_string(),
+        Some(_) if let Some(video) = &listing.video => {
+            format!("there are no pictures in this folder; give the video {video} that is in it")
+        }
+        None => format!("the folder is empty; {WHAT_TO_GIVE}"),
         Some(example) => {
             format!(
-                "there are no pictures (PNG, JPEG, TIFF, PGM, PPM) in this folder, only other things such as {example}"
+                "there are no pictures (PNG, JPEG, TIFF, PGM, PPM) in this folder, only other things such as {example}; {WHAT_TO_GIVE}"
             )
         }
     }))
@@ -63,6 +69,8 @@ struct Listing {
     pictures: Vec<PathBuf>,
     /// Subfolders in order of their names.
     folders: Vec<PathBuf>,
+    /// A video in it.
+    video: Option<String>,
     /// An example of another entry.
     other: Option<String>,
 }
@@ -70,7 +78,7 @@ struct Listing {
 impl Listing {
     fn read(folder: &Path) -> Result<Self> {
         let unreadable = |error: std::io::Error| Error::input(format!("the folder cannot be read: {error}"));
-        let mut listing = Self { pictures: Vec::new(), folders: Vec::new(), other: None };
+        let mut listing = Self { pictures: Vec::new(), folders: Vec::new(), video: None, other: None };
         let mut others = Vec::new();
         for entry in std::fs::read_dir(folder).map_err(unreadable)? {
             let path = entry.map_err(unreadable)?.path();
@@ -81,6 +89,9 @@ impl Listing {
             if EXTENSIONS.contains(&extension.as_str()) && !name.starts_with('.') && path.is_file() {
                 listing.pictures.push(path);
             } else {
+                if VIDEO_EXTENSIONS.contains(&extension.as_str()) && path.is_file() {
+                    listing.video = listing.video.take().into_iter().chain([name.clone()]).min();
+                }
                 others.push(name);
                 if path.is_dir() {
                     listing.folders.push(path);
@@ -186,7 +197,7 @@ fn by_file(
     match Timestamps::read(file)? {
         Timestamps::InOrder(times) if times.len() == pictures.len() => Ok((pictures, times)),
         Timestamps::InOrder(times) => Err(Error::input(format!(
-            "{place} has {} times, but there are {} pictures",
+            "{place} has {} times, but there are {} pictures; give a time for each picture",
             times.len(),
             pictures.len()
         ))),

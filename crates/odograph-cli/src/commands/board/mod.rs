@@ -73,16 +73,14 @@ pub fn board(arguments: BoardArguments) -> Result<Outcome> {
     let BoardArguments { board, output, paper, dpi, force, quiet } = &arguments;
     let output = &output.clone().unwrap_or_else(|| files::free_beside("board", ".pdf"));
     let format = format(output)?;
-    if !force && output.exists() {
-        return Err(Error::usage(format!("{} exists; give --force to overwrite it", output.display())));
-    }
+    files::check_output_file(output, *force)?;
     let page = Page::new(board, *paper)?;
     let bytes = match format {
         BoardFormat::Pdf => pdf::pdf(&page),
         BoardFormat::Svg => svg::svg(&page).into_bytes(),
         BoardFormat::Png => png::png(&page, *dpi)?,
     };
-    files::make_folder_of(output)?;
+    let _made = files::MadeFolders::of_file(output)?;
     files::write(output, &bytes)?;
     if !quiet {
         console::print(&format!(

@@ -45,8 +45,7 @@ impl Input {
         if let Some(gone) = waiting.iter().find(|source| *source != "-" && !Path::new(source).exists()) {
             return Err(Error::input(format!("{gone}: there is no such file or folder")));
         }
-        odograph_session::check_recording(Path::new(&first))?;
-        let source = odograph_video::open(&first, options)?;
+        let source = odograph_session::open_recording(&first, options)?;
         let (info, single) = (source.info(), waiting.is_empty());
         let description = if single { first.clone() } else { format!("{first} and {} more", waiting.len()) };
         Ok(Self {
@@ -103,7 +102,7 @@ impl Input {
     }
 
     fn open_next(&self, place: &str) -> Result<Source> {
-        let source = odograph_video::open(place, &self.options)?;
+        let source = odograph_session::open_recording(place, &self.options)?;
         let (width, height) = (source.info().width, source.info().height);
         if (width, height) != self.size {
             return Err(Error::input(format!(

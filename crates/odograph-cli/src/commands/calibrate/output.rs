@@ -2,7 +2,7 @@
 
 use super::CalibrationResult;
 use super::focal_length::focal_px;
-use crate::files;
+use crate::files::{self, MadeFolders};
 use crate::report::calibration::{BentBoard, CalibrationReport, ExpectedError, ReprojectionError, ShownView};
 use odograph::error::{Error, Result};
 use odograph_calibration::calibration_file;
@@ -18,17 +18,8 @@ const BENT_BOARD: &str = "bent-board.yaml";
 pub struct CalibrationOutput {
     camera_file: PathBuf,
     report: PathBuf,
-    /// Folders that were created for it, the innermost first.
-    made: Vec<PathBuf>,
-}
-
-impl Drop for CalibrationOutput {
-    /// Removes folders that were created for results that were not written, if they are empty.
-    fn drop(&mut self) {
-        for folder in &self.made {
-            let _ = fs::remove_dir(folder);
-        }
-    }
+    /// Folders that were made for it.
+    _made: MadeFolders,
 }
 
 impl CalibrationOutput {
@@ -48,22 +39,11 @@ impl CalibrationOutput {
         if report.exists() && !report.is_dir() {
             return Err(Error::usage(format!("{} is a file; the report needs a folder", report.display())));
         }
-        let there = [camera_file.to_owned(), report.join(PAGE)];
-        if let Some(there) = there.iter().find(|path| path.exists() && !force) {
-            return Err(Error::usage(format!(
-                "{} is already there; choose another name, or --force to overwrite it",
-                there.display()
-            )));
-        }
-        let folder = match camera_file.parent() {
-            Some(folder) if folder != Path::new("") => folder,
-            _ => Path::new("."),
-        };
-        let missing = |folder: &&Path| !folder.as_os_str().is_empty() && !folder.exists();
-        let made = folder.ancestors().take_while(missing).map(Path::to_owned).collect();
+        files::check_output_file(camera_file, force)?;
+        files::check_output_file(&report.join(PAGE), force)?;
         // Fail before minutes of work, not after.
-        files::make_folder(folder)?;
-        Ok(Self { camera_file: camera_file.to_owned(), report, made })
+        let made = MadeFolders::of_file(camera_file)?;
+        Ok(Self { camera_file: camera_file.to_owned(), report, _made: made })
     }
 
     pub fn camera_file(&self) -> &Path {
@@ -117,7 +97,7 @@ impl CalibrationOutput {
             camera_file: &name,
         };
         let files = report.files()?;
-        files::make_folder(&self.report)?;
+        let _made = MadeFolders::new(&self.report)?;
         for (name, bytes) in &files {
             files::write(&self.report.join(name), bytes)?;
         }

@@ -19,7 +19,9 @@ use std::str::FromStr;
 /// Prints absolute and relative errors, and the drift over each metre.
 #[derive(clap::Args)]
 #[command(
-    after_help = "The definitions are those of evo, so that figures can be compared; see docs/evaluation.md."
+    after_help = "The definitions are those of evo, so that figures can be compared; see docs/evaluation.md.\n\nExamples:\n  \
+                  odograph evaluate drive/trajectory.tum truth.tum\n  \
+                  odograph evaluate drive/trajectory.tum truth.tum --plot errors.svg"
 )]
 pub struct EvaluateArguments {
     /// The trajectory to judge (TUM or KITTI)
@@ -172,6 +174,7 @@ pub fn evaluate(arguments: EvaluateArguments) -> Result<Outcome> {
     }
     if let Some(path) = &arguments.plot {
         let title = format!("{} against {}", name(&arguments.estimate), name(&arguments.truth));
+        let _made = files::MadeFolders::of_file(path)?;
         files::write(path, evaluation_plot::svg(&title, &evaluation, &truth.trajectory).as_bytes())?;
     }
     // The ground of KITTI's poses is not x and y.
@@ -212,8 +215,5 @@ fn check_plot(path: &Path, force: bool) -> Result<()> {
     if !path.extension().is_some_and(|extension| extension.eq_ignore_ascii_case("svg")) {
         return Err(Error::usage(format!("{} is not an .svg; the plot is written as SVG", path.display())));
     }
-    if !force && path.exists() {
-        return Err(Error::usage(format!("{} exists; give --force to overwrite it", path.display())));
-    }
-    Ok(())
+    files::check_output_file(path, force)
 }

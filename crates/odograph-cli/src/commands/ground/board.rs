@@ -86,7 +86,7 @@ fn look(arguments: &GroundArguments, board: &Board) -> Result<BoardSightings> {
         warnings: Vec::new(),
     };
     for path in &arguments.sources {
-        let mut source = odograph_video::open(path, &arguments.source_options())?;
+        let mut source = odograph_session::open_recording(path, &arguments.source_options())?;
         let single = source.info().frame_count == Some(1);
         while let Some(frame) = source.next_frame()? {
             if interrupt::asked() {

@@ -12,7 +12,7 @@ use odograph::geometry::GroundPose;
 use odograph::image::RgbImage;
 use odograph::mounting::{DrivenTilt, DrivingConfig, LensMeasurement, Observability, TiltMeasurement};
 use odograph::odometry::{Odometry, OdometryConfig};
-use odograph_session::read_rig;
+use odograph_session::{open_recording, read_rig};
 
 /// One pass over the recording.
 struct CalibrationPass {
@@ -67,7 +67,7 @@ pub fn measure(arguments: &GroundArguments) -> Result<RigMeasurement> {
     };
     let mut rig = Rig { height_m: given_m, ..begin }.validated()?;
     let size = {
-        let source = odograph_video::open(path, &arguments.source_options())?;
+        let source = open_recording(path, &arguments.source_options())?;
         (source.info().width, source.info().height)
     };
     let (mut camera, uncertainty) = read_camera(&arguments.camera, size)?;
@@ -137,7 +137,7 @@ fn follow(
     rig: Rig,
     number: usize,
 ) -> Result<CalibrationPass> {
-    let mut source = odograph_video::open(path, &arguments.source_options())?;
+    let mut source = open_recording(path, &arguments.source_options())?;
     let mut odometry = Odometry::new(camera.clone(), rig, OdometryConfig::default())?;
     let mut driven = DrivenTilt::new(camera, DrivingConfig::default());
     let doing = format!("pass {number} of at most {}: ", MAX_PASSES + 1);

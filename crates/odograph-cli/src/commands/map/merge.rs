@@ -1,6 +1,6 @@
 //! `odograph map merge`: joins maps that overlap.
 
-use super::{check_free, info::pieces, mosaic};
+use super::{info::pieces, mosaic};
 use crate::{Outcome, console, files, interrupt};
 use odograph::error::{Error, Result};
 use odograph::ground_map::KeyframeStore;
@@ -43,9 +43,10 @@ Examples:
 
 /// Runs the command.
 pub fn merge(arguments: &MergeArguments) -> Result<Outcome> {
-    check_free(&arguments.output, arguments.force)?;
-    let claim = MapClaim::on(&arguments.output)?;
+    files::check_output_file(&arguments.output, arguments.force)?;
     check_different(&arguments.maps)?;
+    let _made = files::MadeFolders::of_file(&arguments.output)?;
+    let claim = MapClaim::on(&arguments.output)?;
     let [first, others @ ..] = arguments.maps.as_slice() else {
         return Err(Error::usage("give two maps or more to join"));
     };

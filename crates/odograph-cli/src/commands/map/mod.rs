@@ -9,8 +9,7 @@ mod repair;
 mod thin;
 
 use crate::Outcome;
-use odograph::error::{Error, Result};
-use std::path::Path;
+use odograph::error::Result;
 
 /// Show, join, export, optimise, thin or repair a map.
 #[derive(Debug, clap::Args)]
@@ -41,15 +40,4 @@ pub fn map(arguments: MapArguments) -> Result<Outcome> {
         MapCommand::Thin(arguments) => thin::thin(&arguments),
         MapCommand::Repair(arguments) => repair::repair(&arguments),
     }
-}
-
-/// Refuses to overwrite existing results.
-fn check_free(path: &Path, force: bool) -> Result<()> {
-    if path.exists() && !force {
-        return Err(Error::usage(format!(
-            "{} is already there; choose another name or give --force",
-            path.display()
-        )));
-    }
-    Ok(())
 }

@@ -1,7 +1,7 @@
 //! `odograph map mosaic`: renders the mosaic of a map again.
 
-use super::{check_free, export};
-use crate::{Outcome, console, interrupt, lengths};
+use super::export;
+use crate::{Outcome, console, files, interrupt, lengths};
 use indicatif::{ProgressBar, ProgressStyle};
 use odograph::error::{Error, Result};
 use odograph_map::{MapFile, MosaicLayer};
@@ -46,11 +46,12 @@ pub fn mosaic(arguments: &MosaicArguments) -> Result<Outcome> {
     }
     let form = arguments.output.as_deref().map(export::PictureForm::of).transpose()?;
     if let Some(path) = &arguments.output {
-        check_free(path, arguments.force)?;
+        files::check_output_file(path, arguments.force)?;
     }
     let mut file = MapFile::open(&arguments.map)?;
     let layer = rendered(&mut file, arguments.resolution, arguments.quiet)?;
     if let Some((path, form)) = arguments.output.as_deref().zip(form) {
+        let _made = files::MadeFolders::of_file(path)?;
         export::write_picture(&file, path, form, None)?;
     }
     file.close()?;

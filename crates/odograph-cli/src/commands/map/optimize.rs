@@ -1,6 +1,6 @@
 //! `odograph map optimize`: optimises the pose graph of a map.
 
-use super::{check_free, mosaic};
+use super::mosaic;
 use crate::{Outcome, console, files};
 use odograph::error::Result;
 use odograph::ground_map::GroundMap;
@@ -45,7 +45,8 @@ pub fn optimize(arguments: &OptimizeArguments) -> Result<Outcome> {
     let Some(output) = &arguments.output else {
         return in_place(&arguments.map, arguments);
     };
-    check_free(output, arguments.force)?;
+    files::check_output_file(output, arguments.force)?;
+    let _made = files::MadeFolders::of_file(output)?;
     let claim = MapClaim::on(output)?;
     let beside = files::beside(output);
     MapFile::remove(&beside)?;

@@ -1,6 +1,6 @@
 //! `odograph map repair`: saves what can be read of a damaged map.
 
-use super::{check_free, mosaic};
+use super::mosaic;
 use crate::{Outcome, console, files, interrupt};
 use odograph::error::{Error, Result};
 use odograph_map::{MapClaim, MapFile, Repair};
@@ -48,12 +48,12 @@ pub fn repair(arguments: &RepairArguments) -> Result<Outcome> {
         Some(output) => output.clone(),
         None => files::free_beside(&damaged.to_string_lossy(), "-repaired.gpkg"),
     };
-    check_free(&output, arguments.force)?;
+    files::check_output_file(&output, arguments.force)?;
     if fs::canonicalize(&output).is_ok_and(|output| fs::canonicalize(damaged).is_ok_and(|map| map == output))
     {
         return Err(Error::usage("the repaired map needs another name than the damaged one"));
     }
-    files::make_folder_of(&output)?;
+    let _made = files::MadeFolders::of_file(&output)?;
     let claim = MapClaim::on(&output)?;
     // An existing file is unchanged after a failure, and no partial map is left.
     let beside = files::beside(&output);

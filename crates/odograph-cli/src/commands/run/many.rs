@@ -3,7 +3,7 @@
 
 use super::summary::tell_warnings;
 use super::{ConsoleObserver, Progress, RunArguments};
-use crate::{Outcome, console, interrupt};
+use crate::{Outcome, console, files, interrupt};
 use odograph::error::{Error, ErrorKind, Result};
 use odograph_session::{RunEnd, RunOutcome, RunStatistics};
 use serde::Serialize;
@@ -53,6 +53,11 @@ pub fn recordings(arguments: &RunArguments) -> Result<Option<Vec<ListedRecording
     }
     if let Some(single) = given().find(|source| source.as_str() == "-" || source.ends_with(".toml")) {
         return Err(Error::usage(format!("{single} is run by itself, not among other recordings")));
+    }
+    for (ending, option) in [(".yaml", "--camera"), (".yml", "--camera"), (".gpkg", "--map")] {
+        if let Some(other) = given().find(|source| source.ends_with(ending) && Path::new(source).is_file()) {
+            return Err(Error::usage(format!("{other} is no recording; give it with {option}")));
+        }
     }
     let one_alone = [
         ("--timestamps", arguments.timestamps.is_some()),
@@ -113,6 +118,9 @@ enum End {
 
 /// Runs all recordings and prints how each ended. A failure does not stop the others.
 pub fn run(recordings: &[ListedRecording], arguments: &RunArguments, folder: &Path) -> Result<Outcome> {
+    files::check_output_folder(folder)?;
+    // It is removed where no recording can be followed.
+    let _made = files::MadeFolders::new(folder)?;
     let cores = arguments
         .output
         .threads

@@ -305,6 +305,12 @@ pub fn run(arguments: RunArguments) -> Result<Outcome> {
             console::note(&format!("the results go to {} (-o chooses)", folder.display()));
         }
     };
+    if arguments.bag_out.as_deref() == Some(folder.as_path()) {
+        return Err(Error::usage(format!(
+            "{} cannot be the bag and the folder of the results; give --bag-out the name of a file",
+            folder.display()
+        )));
+    }
     if let Some(recordings) = recordings {
         print_folder();
         return many::run(&recordings, &arguments, &folder);

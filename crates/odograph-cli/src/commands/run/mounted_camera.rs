@@ -1,11 +1,11 @@
 //! Options of camera, mount and motion model, common to the commands that follow a camera.
 
 use crate::lengths::{self, Height};
-use crate::profiles;
+use crate::{console, profiles};
 use odograph::camera::Rig;
 use odograph::error::Result;
 use odograph::motion::MotionModel;
-use odograph_session::{FrameChoice, RunBuilder};
+use odograph_session::{FrameChoice, RunBuilder, doubtful_unit};
 use std::path::PathBuf;
 
 /// The camera and how it is mounted: what a profile keeps.
@@ -49,7 +49,7 @@ impl CameraSetup {
     pub fn of_run(&self, run: RunBuilder) -> RunBuilder {
         let run = self.camera.iter().fold(run, RunBuilder::camera_file);
         let run = match self.field_of_view {
-            Some(FieldOfView(width_m, height_m)) => run.field_of_view_m(width_m, height_m),
+            Some(FieldOfView { width_m, height_m, .. }) => run.field_of_view_m(width_m, height_m),
             None => run,
         };
         let run = self.height.iter().fold(run, |run, height| run.height_m(height.metres));
@@ -72,16 +72,19 @@ impl CameraSetup {
             camera: self.camera.or(camera),
             height: self.height.or(kept.height_m.filter(|_| !has_mount).map(Height::in_metres)),
             rig: self.rig.or(kept.rig.filter(|_| !has_mount)),
-            field_of_view: self.field_of_view.or(field_of_view.map(|(w, h)| FieldOfView(w, h))),
+            field_of_view: self.field_of_view.or(field_of_view.map(FieldOfView::in_metres)),
             readout_ms: self.readout_ms.or(kept.readout_ms),
             mask: self.mask.or(kept.mask),
         })
     }
 
-    /// Warns about a height that was probably meant in another unit.
+    /// Warns about a height or field of view that was probably meant in another unit.
     pub fn question(&self, quiet: bool) {
         if let Some(height) = self.height.filter(|_| !quiet) {
             height.question();
+        }
+        if let Some(doubt) = self.field_of_view.filter(|_| !quiet).and_then(FieldOfView::doubt) {
+            console::warn(&doubt);
         }
     }
 }
@@ -125,14 +128,40 @@ impl MountedCameraArguments {
     }
 }
 
-/// A field of view on the ground: width and height in metres.
+/// A field of view on the ground.
 #[derive(Debug, Clone, Copy, PartialEq)]
-pub struct FieldOfView(pub f64, pub f64);
+pub struct FieldOfView {
+    pub width_m: f64,
+    pub height_m: f64,
+    /// Whether the unit was written.
+    has_unit: bool,
+}
+
+impl FieldOfView {
+    /// Width and height that are certainly meant in metres.
+    fn in_metres((width_m, height_m): (f64, f64)) -> Self {
+        Self { width_m, height_m, has_unit: true }
+    }
+
+    /// A question about one that was probably meant in another unit.
+    fn doubt(self) -> Option<String> {
+        let Self { width_m, height_m, has_unit } = self;
+        doubtful_unit(width_m.max(height_m)).filter(|_| !has_unit).map(|(unit, name)| {
+            format!(
+                "--field-of-view {width_m}x{height_m} is read as metres; if {name} are meant, write \
+                 {width_m}x{height_m}{unit} ({width_m}x{height_m}m silences this)"
+            )
+        })
+    }
+}
 
 fn field_of_view(text: &str) -> std::result::Result<FieldOfView, String> {
     let sides = text.split_once(['x', 'X', '×']).and_then(|(w, h)| lengths::pair(w, h));
+    let has_unit = text.ends_with(|c: char| c.is_alphabetic());
     match sides {
-        Some((w, h)) if [w, h].iter().all(|side| Rig::HEIGHTS_M.contains(side)) => Ok(FieldOfView(w, h)),
+        Some((width_m, height_m)) if [width_m, height_m].iter().all(|side| Rig::HEIGHTS_M.contains(side)) => {
+            Ok(FieldOfView { width_m, height_m, has_unit })
+        }
         Some(_) => Err("width and height are each between 1 µm and 10 km".to_owned()),
         _ => Err("give width and height, as 1.20x0.90 (metres), 120x90cm or 120cmx90cm".to_owned()),
     }

@@ -61,7 +61,7 @@ impl<W: Write + Seek> Writer<W> {
         let written = [b"00dc".as_slice(), &size.to_le_bytes(), jpeg, padding]
             .into_iter()
             .try_for_each(|part| self.file.write_all(part));
-        written.map_err(|error| Error::output(format!("the AVI file cannot be written: {error}")))
+        written.map_err(|error| Error::not_written("the AVI file", error))
     }
 
     /// Writes the index, and the sizes that are known only at the end.

@@ -2,7 +2,8 @@
 
 use super::scene::Parameters;
 use super::{FormatName, SimulateArguments, avi, y4m};
-use crate::{files, interrupt};
+use crate::files::{self, MadeFolders};
+use crate::interrupt;
 use indicatif::{ProgressBar, ProgressStyle};
 use jpeg_encoder::{ColorType, Encoder};
 use odograph::error::{Error, Result};
@@ -46,6 +47,10 @@ pub struct SimulationOutput {
     tell_readout: bool,
     threads: usize,
     bar: ProgressBar,
+    /// Whether files of an earlier run may be replaced.
+    force: bool,
+    /// Folders that were made for it; dropped last.
+    _made: MadeFolders,
 }
 
 impl SimulationOutput {
@@ -58,15 +63,16 @@ impl SimulationOutput {
                 "frames that are dropped or late need timestamps, which only --format png keeps (frames.txt)",
             ));
         }
+        files::check_output_folder(&folder)?;
         if let Some(there) = OURS.iter().map(|name| folder.join(name)).find(|path| path.exists())
             && !arguments.force
         {
             return Err(Error::usage(format!(
-                "{} exists already; choose another folder, or overwrite it with --force",
+                "{} is already there; choose another folder, or --force to overwrite it",
                 there.display()
             )));
         }
-        files::make_folder(&folder)?;
+        let made = MadeFolders::new(&folder)?;
         let threads = arguments
             .threads
             .or_else(|| std::thread::available_parallelism().ok())
@@ -86,6 +92,8 @@ impl SimulationOutput {
             tell_readout: arguments.tell_readout,
             threads,
             bar,
+            force: arguments.force,
+            _made: made,
         })
     }
 
@@ -94,9 +102,17 @@ impl SimulationOutput {
         &self.folder
     }
 
-    /// Renders and writes everything; the frames are moved to their place last, so that a folder
-    /// with frames is complete.
+    /// Renders and writes everything, or leaves nothing of it.
     pub fn write(&self, simulation: &Simulation, parameters: &Parameters) -> Result<()> {
+        self.write_all(simulation, parameters).inspect_err(|_| {
+            // Without --force nothing of these names was there.
+            if !self.force {
+                OURS.iter().for_each(|name| files::remove(&self.folder.join(name)));
+            }
+        })
+    }
+
+    fn write_all(&self, simulation: &Simulation, parameters: &Parameters) -> Result<()> {
         let parameters = toml::to_string(parameters)
             .map_err(|error| Error::output(format!("the parameters cannot be written as TOML: {error}")))?;
         let written = match self.format {
@@ -105,10 +121,6 @@ impl SimulationOutput {
             FormatName::Mjpeg => self.write_avi(simulation),
         };
         self.bar.finish_and_clear();
-        if written.is_err() {
-            // Where nothing else is in it.
-            let _ = fs::remove_dir(&self.folder);
-        }
         written?;
         let config = simulation.config();
         let poses = simulation.times_s().iter().map(|&time_s| StampedPose {
@@ -166,8 +178,7 @@ impl SimulationOutput {
     fn write_pictures(&self, simulation: &Simulation) -> Result<()> {
         let frames = self.folder.join("frames");
         let part = files::beside(&frames);
-        let failed =
-            |error: std::io::Error| Error::output(format!("{} cannot be written: {error}", frames.display()));
+        let failed = |error| Error::not_written(frames.display(), error);
         // What an interrupted run has left.
         if part.exists() {
             fs::remove_dir_all(&part).map_err(failed)?;
@@ -216,7 +227,7 @@ impl SimulationOutput {
         let config = simulation.config();
         let size = (config.camera.width(), config.camera.height());
         self.write_stream("sim.y4m", |file| {
-            let failed = |error: std::io::Error| Error::output(format!("sim.y4m cannot be written: {error}"));
+            let failed = |error| Error::not_written(self.folder.join("sim.y4m").display(), error);
             let mut file = BufWriter::new(file);
             file.write_all(&y4m::header(size, fraction(config.fps)?, config.colored)).map_err(failed)?;
             let encode = |frame: &RenderedFrame| Ok(y4m::frame(&frame.image, frame.color.as_ref()));
@@ -234,7 +245,7 @@ impl SimulationOutput {
             bits: if config.colored { 24 } else { 8 },
         };
         self.write_stream("sim.avi", |file| {
-            let failed = |error: std::io::Error| Error::output(format!("sim.avi cannot be written: {error}"));
+            let failed = |error| Error::not_written(self.folder.join("sim.avi").display(), error);
             let mut writer = avi::Writer::new(BufWriter::new(file), format).map_err(failed)?;
             self.render(simulation, jpeg, |_, bytes| writer.add(&bytes))?;
             let file = writer.finish(format).map_err(failed)?;
@@ -246,8 +257,7 @@ impl SimulationOutput {
     fn write_stream(&self, name: &str, write: impl FnOnce(fs::File) -> Result<fs::File>) -> Result<()> {
         let path = self.folder.join(name);
         let beside = files::beside(&path);
-        let failed =
-            |error: std::io::Error| Error::output(format!("{} cannot be written: {error}", path.display()));
+        let failed = |error| Error::not_written(path.display(), error);
         let written = fs::File::create(&beside)
             .map_err(failed)
             .and_then(write)

@@ -1,7 +1,7 @@
 //! The folder of corrected frames, which gets its name only when it is complete.
 
 use super::OutputFormat;
-use crate::files;
+use crate::files::{self, MadeFolders};
 use odograph::camera::Camera;
 use odograph::error::{Error, Result};
 use odograph::formats::camera_file;
@@ -19,13 +19,15 @@ const OURS: [&str; 5] = [PICTURES, STREAM, "frames.txt", "camera.yaml", "before-
 /// The folder while it is being filled.
 pub struct UndistortedOutput {
     folder: PathBuf,
-    /// Whether the folder was created by this run.
-    made: bool,
     frames: FrameWriter,
     /// The frames' names and times, for `frames.txt`.
     list: String,
     times_s: Vec<f64>,
     whole: bool,
+    /// Whether results of an earlier run may be replaced.
+    force: bool,
+    /// Folders that were made for it; dropped last.
+    _made: MadeFolders,
 }
 
 enum FrameWriter {
@@ -59,12 +61,10 @@ impl Drop for UndistortedOutput {
     /// Removes incomplete results.
     fn drop(&mut self) {
         if !self.whole {
-            let _ = match self.frames {
-                FrameWriter::Pictures => fs::remove_dir_all(self.part()),
-                FrameWriter::Stream { .. } => fs::remove_file(self.part()),
-            };
-            if self.made {
-                let _ = fs::remove_dir(&self.folder); // only where it is empty
+            files::remove(&self.part());
+            // Without --force nothing of these names was there.
+            if !self.force {
+                OURS.iter().for_each(|name| files::remove(&self.folder.join(name)));
             }
         }
     }
@@ -74,17 +74,14 @@ impl UndistortedOutput {
     /// Prepares the folder. Fails if results exist and `force` does not allow replacing them, or if
     /// it cannot be written.
     pub fn new(folder: &Path, format: OutputFormat, force: bool) -> Result<Self> {
-        if folder.exists() && !folder.is_dir() {
-            return Err(Error::usage(format!("{} is a file; the results need a folder", folder.display())));
-        }
+        files::check_output_folder(folder)?;
         if let Some(there) = OURS.iter().map(|name| folder.join(name)).find(|path| path.exists() && !force) {
             return Err(Error::usage(format!(
                 "{} is already there; choose another folder, or --force to overwrite it",
                 there.display()
             )));
         }
-        let made = !folder.exists();
-        files::make_folder(folder)?;
+        let made = MadeFolders::new(folder)?;
         let begin = || -> io::Result<FrameWriter> {
             Ok(match format {
                 OutputFormat::Png => {
@@ -102,23 +99,19 @@ impl UndistortedOutput {
                 }
             })
         };
-        let frames = begin().map_err(|error| {
-            if made {
-                let _ = fs::remove_dir(folder);
-            }
-            Error::output(format!("{} cannot be written: {error}", folder.display()))
-        })?;
+        let frames = begin().map_err(|error| Error::not_written(folder.display(), error))?;
         let list = match format {
             OutputFormat::Png => "# time_s name\n",
             OutputFormat::Y4m => "# time_s\n",
         };
         Ok(Self {
             folder: folder.to_owned(),
-            made,
             frames,
             list: list.to_owned(),
             times_s: Vec::new(),
             whole: false,
+            force,
+            _made: made,
         })
     }
 
@@ -135,7 +128,7 @@ impl UndistortedOutput {
 
     fn failed(&self) -> impl Fn(io::Error) -> Error + use<> {
         let place = self.place();
-        move |error| Error::output(format!("{} cannot be written: {error}", place.display()))
+        move |error| Error::not_written(place.display(), error)
     }
 
     /// Writes the next frame.
@@ -178,11 +171,12 @@ impl UndistortedOutput {
             }
         };
         placed.map_err(&failed)?;
-        self.whole = true;
         self.remove_other_format().map_err(&failed)?;
         files::write(&self.folder.join("frames.txt"), self.list.as_bytes())?;
         files::write(&self.folder.join("camera.yaml"), camera_file::write(camera).as_bytes())?;
-        files::write(&self.folder.join("before-after.png"), &files::png_from_rgb(before_after)?)
+        files::write(&self.folder.join("before-after.png"), &files::png_from_rgb(before_after)?)?;
+        self.whole = true;
+        Ok(())
     }
 
     /// Removes an earlier run's frames in the other format: they would not belong to the new times

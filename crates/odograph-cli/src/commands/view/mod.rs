@@ -130,9 +130,10 @@ fn records(folder: &Path) -> Result<Vec<TrackRecord>> {
     if !table.is_file() {
         let shown = folder.display();
         return Err(Error::input(match folder.exists() {
-            true => {
-                format!("{shown} is neither the folder of a run (it has no trajectory.csv) nor a map file")
-            }
+            true => format!(
+                "{shown} is neither the folder of a run (it has no trajectory.csv) nor a map file; odograph run makes \
+                 both of a recording"
+            ),
             false => {
                 format!("{shown}: there is no such folder or file; give the folder of a run, or a map file")
             }

@@ -222,6 +222,13 @@ fn lengths_have_units_and_implausible_heights_cause_warnings() {
             doubted
         );
     }
+    for (field, doubted) in [("120x90", true), ("120x90m", false)] {
+        let done = place.run(&format!("drive.y4m --field-of-view {field} -o {field}"));
+        let message = String::from_utf8_lossy(&done.stderr).into_owned();
+        let doubt =
+            "warning: --field-of-view 120x90 is read as metres; if centimetres are meant, write 120x90cm";
+        assert!(done.status.success() && message.contains(doubt) == doubted, "{message}");
+    }
     fs::write(place.path("rig.toml"), "height_m = 1\nroll_dg = 2").unwrap();
     let with_rig = "drive.y4m --camera camera.yaml --rig rig.toml -o rigged";
     place.refused(
@@ -281,7 +288,7 @@ fn names_are_printed_on_their_line() {
         ("undistort N/drive.mp4 --camera N/camera.yaml --max-frames 3 -o N/flat", 0),
         ("view N/nowhere", 3),
         ("view N/camera.yaml", 3),
-        ("site serve N/camera.yaml", 3),
+        ("site serve N/camera.yaml", 2),
         ("site serve N/out", 3),
         ("site send N/out/map.gpkg --site http://127.0.0.1:9/ --robot cart", 3),
         ("board --board chessboard:9x6:25mm -o N/board.pdf", 0),

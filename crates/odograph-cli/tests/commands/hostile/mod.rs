@@ -4,6 +4,9 @@
 mod commands;
 mod inputs;
 mod interruptions;
+mod mistaken;
+#[cfg(target_os = "linux")]
+mod output_options;
 mod outputs;
 mod plans;
 pub mod recording;

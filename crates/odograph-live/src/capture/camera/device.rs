@@ -164,7 +164,9 @@ impl CameraDevice {
     /// If there is no camera, another program uses it, or it has no such mode.
     pub fn open(path: &Path, wish: &ModeWish, hold_exposure: bool, watch: Watch) -> Result<Self> {
         let cannot = |what: &'static str| move |error: io::Error| failed(path, what, &error);
-        let device = Device::open(path).map_err(cannot("is no camera that can be opened"))?;
+        let device = Device::open(path).map_err(cannot(
+            "is no camera that can be opened (odograph cameras lists those of this machine)",
+        ))?;
         let name = device.capabilities().map_or_else(|_| "camera".to_owned(), |c| c.card().to_owned());
         let mut driver = V4l2::Idle(device);
         let Agreed { mode, bytes_per_line, warnings } = negotiation::set_up(&mut driver, wish, path)?;

@@ -24,6 +24,9 @@ const FARTHEST_PX: f64 = 4.0;
 /// COLMAP's pixel (0.5, 0.5) is the centre of the top left one.
 const PIXEL_CENTRE: f64 = 0.5;
 
+/// Every file or folder that is written.
+const OURS: [&str; 4] = ["cameras.txt", "images.txt", "points3D.txt", "images"];
+
 /// A feature of a keyframe: where it is on the ground, and in the image.
 struct KeyframeFeature {
     ground: GroundPoint,
@@ -46,21 +49,31 @@ pub fn write(file: &mut MapFile, folder: &Path, force: bool) -> Result<String> {
         )));
     }
     let camera = write_as(&map.camera, CameraFormat::Colmap)?;
-    for name in ["cameras.txt", "images.txt", "points3D.txt", "images"] {
-        super::check_free(&folder.join(name), force)?;
+    if let Some(there) = OURS.iter().map(|name| folder.join(name)).find(|path| path.exists() && !force) {
+        return Err(Error::usage(format!(
+            "{} is already there; choose another folder, or --force to overwrite it",
+            there.display()
+        )));
     }
+    let _made = files::MadeFolders::new(folder)?;
+    let written = write_files(file, &map, &camera, folder);
+    if written.is_err() && !force {
+        OURS.iter().for_each(|name| files::remove(&folder.join(name)));
+    }
+    written
+}
+
+/// Writes the images, and then the texts about them.
+fn write_files(file: &mut MapFile, map: &GroundMap, camera: &str, folder: &Path) -> Result<String> {
     let images = folder.join("images");
     files::make_folder(&images)?;
     let mut features: Vec<Vec<KeyframeFeature>> =
         map.keyframes.iter().map(|keyframe| seen(&map.camera, keyframe)).collect();
-    let tracks = tracks(&map, &mut features);
+    let tracks = tracks(map, &mut features);
     let mut colors = BTreeMap::new();
     for (index, keyframe) in map.keyframes.iter().enumerate() {
         if interrupt::asked() {
-            return Err(Error::output(format!(
-                "interrupted; {} has only some of the images",
-                folder.display()
-            )));
+            return Err(Error::output(format!("interrupted before {} was complete", folder.display())));
         }
         let image = file.load(keyframe.id)?;
         let bytes = match &image.color {
@@ -77,8 +90,8 @@ pub fn write(file: &mut MapFile, folder: &Path, force: bool) -> Result<String> {
         }
     }
     files::write(&folder.join("cameras.txt"), camera.as_bytes())?;
-    files::write(&folder.join("images.txt"), images_text(&map, &features).as_bytes())?;
-    files::write(&folder.join("points3D.txt"), points_text(&map, &features, &tracks, &colors).as_bytes())?;
+    files::write(&folder.join("images.txt"), images_text(map, &features).as_bytes())?;
+    files::write(&folder.join("points3D.txt"), points_text(map, &features, &tracks, &colors).as_bytes())?;
     Ok(format!("{} images, {} points", map.keyframes.len(), tracks.len()))
 }
 

@@ -8,7 +8,6 @@ mod picture;
 mod ply;
 mod trajectory;
 
-use super::check_free;
 use crate::{Outcome, console, files, interrupt};
 use anchor::{AnchorArgument, anchor_of};
 use geographic::GeographicForm;
@@ -131,15 +130,16 @@ pub fn export(arguments: &ExportArguments) -> Result<Outcome> {
         ));
     }
     let anchor = anchor_of(&arguments.anchor)?;
-    if form != Form::Colmap || arguments.output.is_file() {
-        check_free(&arguments.output, arguments.force)?;
+    match form {
+        Form::Colmap => check_colmap_folder(&arguments.output)?,
+        _ => files::check_output_file(&arguments.output, arguments.force)?,
     }
     let output = arguments.output.as_path();
     if matches!(form, Form::Geographic(_)) && anchor.is_none() {
         return Err(without_anchor(output));
     }
     let mut file = MapFile::open_read_only(&arguments.map)?;
-    files::make_folder_of(output)?;
+    let _made = files::MadeFolders::of_file(output)?;
     let summary = match form {
         Form::Picture(form) => write_picture(&file, output, form, anchor.as_ref())?,
         Form::Ply => ply::write(&file, output, arguments.max_points)?,
@@ -154,6 +154,13 @@ pub fn export(arguments: &ExportArguments) -> Result<Outcome> {
         console::print(&format!("{summary}\nLook at {}\n", console::name(output)))?;
     }
     Ok(Outcome::Done)
+}
+
+/// Refuses a file without an ending, which would say that a folder is meant.
+fn check_colmap_folder(output: &Path) -> Result<()> {
+    files::check_output_folder(output).map_err(|error| {
+        Error::usage(format!("{error} for COLMAP; or end the name in .tif, .png, .ply, .tum, .csv or .kml"))
+    })
 }
 
 fn without_anchor(output: &Path) -> Error {

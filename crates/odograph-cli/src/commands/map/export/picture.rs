@@ -20,8 +20,9 @@ pub fn write(file: &MapFile, layer: &MosaicLayer, path: &Path) -> Result<String>
     let level = (0..=layer.finest).rev().find(fits).unwrap_or(0);
     let (width, height, placement) = layer.picture_at(level);
     files::write_with(path, |output| {
-        let broken = |error: png::EncodingError| {
-            Error::output(format!("{} cannot be written: {error}", path.display()))
+        let broken = |error: png::EncodingError| match error {
+            png::EncodingError::IoError(error) => Error::not_written(path.display(), error),
+            error => Error::output(format!("{} cannot be written: {error}", path.display())),
         };
         let mut encoder = png::Encoder::new(output, width as u32, height as u32);
         encoder.set_color(png::ColorType::Rgba);
@@ -32,7 +33,7 @@ pub fn write(file: &MapFile, layer: &MosaicLayer, path: &Path) -> Result<String>
         file.each_tile_row(layer, level, &mut |_, rows| {
             interrupt::check()?;
             std::io::Write::write_all(&mut stream, rows)
-                .map_err(|error| Error::output(format!("{} cannot be written: {error}", path.display())))
+                .map_err(|error| Error::not_written(path.display(), error))
         })?;
         stream.finish().map_err(broken)
     })?;

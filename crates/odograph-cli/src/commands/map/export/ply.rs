@@ -26,8 +26,7 @@ pub fn write(file: &MapFile, path: &Path, most_points: usize) -> Result<String> 
         )));
     }
     files::write_with(path, |output| {
-        let broken =
-            |error: std::io::Error| Error::output(format!("{} cannot be written: {error}", path.display()));
+        let broken = |error| Error::not_written(path.display(), error);
         write!(
             output,
             "ply\nformat binary_little_endian 1.0\ncomment metres; the ground is z = 0, cameras are red\nelement vertex {}\n\

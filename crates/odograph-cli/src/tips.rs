@@ -1,0 +1,124 @@
+//! What is added to the option parser's errors: an example of the command, or what was probably
+//! meant.
+
+use crate::console::quoted;
+use clap::error::{ContextKind, ContextValue, ErrorKind};
+use std::ffi::OsString;
+use std::path::Path;
+
+/// The error with a tip, where there is one for it; `arguments` begin with the program's name.
+pub fn with_tip(mut error: clap::Error, command: &clap::Command, arguments: &[OsString]) -> clap::Error {
+    if let Some(tip) = tip(&error, command, arguments) {
+        error.insert(ContextKind::Suggested, ContextValue::StyledStrs(vec![tip.into()]));
+    }
+    error
+}
+
+fn tip(error: &clap::Error, command: &clap::Command, arguments: &[OsString]) -> Option<String> {
+    let context = |kind| match error.get(kind) {
+        Some(ContextValue::String(text)) => Some(text.as_str()),
+        _ => None,
+    };
+    let (names, asked) = asked(command, arguments);
+    match error.kind() {
+        ErrorKind::MissingRequiredArgument => {
+            let missing = match error.get(ContextKind::InvalidArg) {
+                Some(ContextValue::Strings(missing)) => missing.as_slice(),
+                _ => &[],
+            };
+            example(asked, &names, missing).map(|example| format!("for example {example}"))
+        }
+        ErrorKind::InvalidSubcommand => {
+            let path = Path::new(context(ContextKind::InvalidSubcommand)?);
+            let is_map = path.extension().is_some_and(|ending| ending == "gpkg");
+            let verb = match (names.as_slice(), is_map) {
+                _ if !path.exists() => return None,
+                ([], false) => "run",
+                ([], true) => "view",
+                (["map"], _) => "map info",
+                (["camera"], _) => "camera show",
+                _ => return None,
+            };
+            Some(format!("it is a file or folder; write odograph {verb} {}", quoted(path)))
+        }
+        ErrorKind::UnknownArgument => {
+            let unknown = context(ContextKind::InvalidArg)?;
+            let has = |long: &str| asked.get_opts().any(|option| option.get_long() == Some(long));
+            let typed = arguments.iter().filter_map(|argument| argument.to_str());
+            let mut single = typed.filter_map(|argument| argument.strip_prefix('-'));
+            if let Some(name) = single.find(|name| has(name) && unknown.strip_prefix('-') == name.get(..1)) {
+                return Some(format!("write it with two hyphens, --{name}"));
+            }
+            let option = match Path::new(unknown).extension()?.to_str()? {
+                "gpkg" => "map",
+                "yaml" | "yml" => "camera",
+                "toml" => "rig",
+                _ => return None,
+            };
+            has(option).then(|| format!("write --{option} {}", quoted(Path::new(unknown))))
+        }
+        _ => None,
+    }
+}
+
+/// The command that the arguments ask for, and its names below the program's.
+fn asked<'a>(command: &'a clap::Command, arguments: &[OsString]) -> (Vec<&'a str>, &'a clap::Command) {
+    let (mut names, mut asked) = (Vec::new(), command);
+    for argument in arguments.iter().skip(1) {
+        let Some(inner) = argument.to_str().and_then(|name| asked.find_subcommand(name)) else { break };
+        names.push(inner.get_name());
+        asked = inner;
+    }
+    (names, asked)
+}
+
+/// The first example in the help of a command that has what is missing: `--map <FILE>`, `<SOURCE>`.
+fn example(command: &clap::Command, names: &[&str], missing: &[String]) -> Option<String> {
+    let help = command.get_after_help()?.to_string();
+    let options: Vec<&str> = missing
+        .iter()
+        .filter_map(|argument| argument.split(' ').next().filter(|name| name.starts_with("--")))
+        .collect();
+    let begins = format!("odograph {} ", names.join(" "));
+    let has_all = |line: &str| options.iter().all(|option| line.contains(option));
+    let lines = help.split_once("Examples:")?.1.lines();
+    let line = lines.map(str::trim_start).find(|line| line.starts_with(&begins) && has_all(line))?;
+    Some(line.split(" #").next().unwrap_or(line).trim().to_owned())
+}
+
+#[cfg(test)]
+#[allow(clippy::unwrap_used)] // in a test, what cannot be is a failure of the test
+mod tests {
+    use super::*;
+
+    #[test]
+    fn errors_say_what_was_probably_meant() {
+        for (arguments, tip) in [
+            ("odograph board", "for example odograph board --board charuco:8x11:20mm -o board.pdf\n"),
+            ("odograph localize a.jpg", "for example odograph localize photo.jpg --map hall.gpkg\n"),
+            ("odograph run a --control b", "--markers apriltag:36h11:80mm --control hall.csv -o drive/\n"),
+            ("odograph live", "for example odograph live "),
+            ("odograph Cargo.toml", "it is a file or folder; write odograph run Cargo.toml\n"),
+            ("odograph map Cargo.toml", "it is a file or folder; write odograph map info Cargo.toml\n"),
+            ("odograph camera Cargo.toml", "write odograph camera show Cargo.toml\n"),
+            ("odograph run a.mp4 -camera b.yaml", "write it with two hyphens, --camera\n"),
+            ("odograph localize a.jpg b/map.gpkg", "write --map b/map.gpkg\n"),
+            ("odograph undistort a.mp4 b.yaml", "write --camera b.yaml\n"),
+        ] {
+            let words: Vec<OsString> = arguments.split(' ').map(OsString::from).collect();
+            let command = crate::command();
+            let error = command.clone().try_get_matches_from(&words).unwrap_err();
+            let said = with_tip(error, &command, &words).to_string();
+            assert!(said.contains(tip), "{arguments}: {said}");
+            assert_eq!(said.matches("tip: ").count(), 1, "{arguments}: {said}");
+        }
+    }
+
+    #[test]
+    fn a_misspelt_command_is_not_taken_for_a_file() {
+        let words: Vec<OsString> = ["odograph", "runn"].map(OsString::from).into();
+        let command = crate::command();
+        let said = with_tip(command.clone().try_get_matches_from(&words).unwrap_err(), &command, &words);
+        assert!(said.to_string().contains("similar subcommands exist"), "{said}");
+    }
+}
