@@ -1,6 +1,7 @@
 //! Errors of the model: relief, lens, shutter, reflections, blur. Derivation:
 //! `docs/math/correlated-noise.md`.
 
+use super::Observations;
 use super::normal_equations::{Factor, POSE, Row, Unknowns, WITH_KEYFRAME};
 use super::nuisance::Nuisance;
 use super::residual::Residual;
@@ -8,9 +9,17 @@ use crate::camera::Camera;
 use crate::geometry::Pixel;
 use nalgebra::{Matrix6, Vector6};
 
-/// What the noise of the images does not explain of the residuals, pixels: the error of the model.
-pub fn model_error_px(scale_px: f64, noise_px: f64) -> f64 {
-    (scale_px * scale_px - noise_px * noise_px).max(0.0).sqrt()
+/// Variance of a coordinate of a track beyond that by the noise of the images, pixels²: the moment
+/// estimate of R. DerSimonian and N. Laird (1986), in which tracks count by their information.
+pub fn model_error_px2(observations: &Observations<'_>, residuals: &[Residual], weights: &[f64]) -> f64 {
+    let (mut excess_px2, mut information) = (0.0, 0.0);
+    for ((observation, residual), &weight) in observations.seen.iter().zip(residuals).zip(weights) {
+        if weight > 0.0 {
+            excess_px2 += weight * (0.5 * residual.length().powi(2) - observations.noise_px.powi(2));
+            information += weight * 0.5 * observation.whitening.norm_squared();
+        }
+    }
+    if information > 0.0 { (excess_px2 / information).max(0.0) } else { 0.0 }
 }
 
 /// Covariance of the pose, given the keyframe, by an error of one pixel in each [`modes`] of each

@@ -3,7 +3,7 @@
 
 use super::correlated_noise::{ResidualCorrelation, shared_covariance, shared_px};
 use super::elevation::MeasuredElevation;
-use super::model_error::{covariance_by_model_error, model_error_px};
+use super::model_error::{covariance_by_model_error, model_error_px2};
 use super::normal_equations::{NormalEquations, POSE, Row, Unknowns, WITH_KEYFRAME, WITH_SKEW};
 use super::nuisance::Nuisance;
 use super::pose_covariance::{RobustFit, by_prior_tilt, pose_changes, well_constrained_scale};
@@ -227,7 +227,6 @@ pub fn refine(
             by_keyframe: by_keyframe.fixed_view::<3, 3>(3, 3).into_owned(),
         }
     });
-    let model_error_px = model_error_px(scale_px, nuisance.observations.noise_px);
     let by_model_error = covariance_by_model_error(
         camera,
         &nuisance,
@@ -249,7 +248,7 @@ pub fn refine(
     Some(MotionEstimate {
         pose,
         covariance,
-        model_covariance: by_model_error * (model_error_px * model_error_px),
+        model_covariance: by_model_error * model_error_px2(&nuisance.observations, &residuals, &weights),
         by_keyframe,
         by_prior_tilt: by_prior_tilt(&given_keyframe, &rig_prior, &unknowns),
         keyframe_error,
