@@ -12,6 +12,7 @@ mod elevation;
 mod global_image;
 mod ground_patch;
 mod mean;
+mod model_error;
 mod normal_equations;
 mod nuisance;
 mod planar_pose;
@@ -146,6 +147,8 @@ stored!(Observation);
 pub struct Observations<'a> {
     /// The correspondences.
     pub seen: &'a [Observation],
+    /// Standard deviation of the median track by the noise of the images, pixels.
+    pub noise_px: f64,
     /// Pose of the keyframe, which defines the ground points.
     pub keyframe_pose: &'a GroundPose,
     /// Covariance of height, roll and pitch of the keyframe, metres and radians.
@@ -210,6 +213,9 @@ pub struct MotionEstimate {
     /// Covariance of (x, y, heading, height, roll, pitch) given the ground points; rows of fixed
     /// unknowns are zero.
     pub covariance: Matrix6<f64>,
+    /// The same by errors of the model, which the fit does not account for: considered errors
+    /// (S. Schmidt, 1966).
+    pub model_covariance: Matrix6<f64>,
     /// Derivative of the pose by the pose of the keyframe, through which the keyframe's covariance
     /// propagates.
     pub by_keyframe: Matrix6<f64>,

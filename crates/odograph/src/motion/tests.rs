@@ -7,6 +7,9 @@ fn camera() -> Camera {
     Camera::new((640, 480), (500.0, 503.0), (322.0, 236.0), distortion).unwrap()
 }
 
+/// Noise of the images that the tests state, pixels.
+const NOISE_PX: f64 = 0.2;
+
 /// Observations from `truth` of ground points on a grid of pixels, with Gaussian noise and a
 /// fraction of outliers.
 fn observations(truth: &GroundPose, noise_px: f64, wrong: f64, seed: u64) -> Vec<Observation> {
@@ -53,6 +56,7 @@ fn measured(
 ) -> Option<MotionEstimate> {
     let observations = Observations {
         seen,
+        noise_px: NOISE_PX,
         keyframe_pose: &GroundPose::level(1.0),
         keyframe_covariance: &Matrix3::zeros(),
         shutter: None,
@@ -126,6 +130,44 @@ fn the_covariance_matches_the_errors() {
         let bound = 1.96 * (2.0 * unknowns as f64 / runs as f64).sqrt() + 0.1 * unknowns as f64;
         assert!((mean - unknowns as f64).abs() < bound, "{model:?}: {mean} for {unknowns}");
     }
+}
+
+#[test]
+fn errors_of_the_model_are_part_of_the_stated_error() {
+    let truth = GroundPose { x_m: 0.1, y_m: -0.05, heading_rad: 0.2, ..GroundPose::level(1.0) };
+    let config = MotionConfig { model: MotionModel::Free, ..Default::default() };
+    let (runs, mut by_noise, mut by_both) = (200, 0.0, 0.0);
+    for seed in 0..runs {
+        let mut random = Random::new(seed);
+        let mut uniform = move || (random.bits() >> 11) as f64 / (1u64 << 53) as f64;
+        // Three waves for each coordinate, half an image and more in length: relief, a wrong lens.
+        let waves: [_; 6] = std::array::from_fn(|_| {
+            let (angle, phase) = (std::f64::consts::TAU * uniform(), std::f64::consts::TAU * uniform());
+            let per_px = std::f64::consts::TAU / (320.0 + 960.0 * uniform());
+            move |at: Pixel| (per_px * (at.x * angle.cos() + at.y * angle.sin()) + phase).cos()
+        });
+        let mut seen = observations(&truth, NOISE_PX, 0.0, seed);
+        for seen in &mut seen {
+            let [x, y] = [0, 3].map(|first| (first..first + 3).map(|k| waves[k](seen.pixel)).sum::<f64>());
+            seen.pixel = Pixel::new(seen.pixel.x + 0.5 * x, seen.pixel.y + 0.5 * y);
+        }
+        let found = from(&seen, &GroundPose::level(1.0), &config, seed).expect("a pose");
+        let error = found.pose.to_vector() - truth.to_vector();
+        let nees = |covariance: Matrix6<f64>| error.dot(&covariance.cholesky().unwrap().solve(&error));
+        by_noise += nees(found.covariance) / runs as f64;
+        by_both += nees(found.covariance + found.model_covariance) / runs as f64;
+    }
+    println!("NEES {by_noise} {by_both}");
+    // Six unknowns. How smooth the error is decides how much of it the pose takes up, so that the
+    // statement is right within a factor of two.
+    assert!(by_noise > 60.0, "the noise alone does not explain the error: NEES {by_noise}");
+    assert!(by_both > 1.5 && by_both < 24.0, "NEES {by_both}");
+
+    // Where noise explains the residuals nothing is added.
+    let seen = observations(&truth, NOISE_PX, 0.0, 1);
+    let found = from(&seen, &GroundPose::level(1.0), &config, 1).expect("a pose");
+    let parts = found.model_covariance.diagonal().component_div(&found.covariance.diagonal());
+    assert!(parts.iter().all(|part| *part < 0.5), "{parts}");
 }
 
 #[test]
@@ -205,8 +247,13 @@ fn a_tilt_error_of_the_keyframe_is_estimated_with_the_pose() {
         };
         let seen: Vec<Observation> = observations(&to, 0.2, 0.1, seed).iter().map(reproject).collect();
         let measure = |keyframe_covariance| {
-            let observations =
-                Observations { seen: &seen, keyframe_pose: &taken_for, keyframe_covariance, shutter: None };
+            let observations = Observations {
+                seen: &seen,
+                noise_px: NOISE_PX,
+                keyframe_pose: &taken_for,
+                keyframe_covariance,
+                shutter: None,
+            };
             estimate(&camera(), observations, &to, &prior, &config, &mut Random::new(seed)).unwrap()
         };
         let (found, fixed) = (measure(keyframe_covariance), measure(&Matrix3::zeros()));
@@ -245,8 +292,13 @@ fn elevations_in_metres_of_the_keyframe_do_not_measure_its_height() {
     let seen: Vec<Observation> = flat.iter().enumerate().filter_map(uneven).collect();
     let sigma_m: f64 = 0.01;
     let keyframe_covariance = &Matrix3::from_diagonal(&nalgebra::Vector3::new(sigma_m * sigma_m, 0.0, 0.0));
-    let observations =
-        Observations { seen: &seen, keyframe_pose: &keyframe, keyframe_covariance, shutter: None };
+    let observations = Observations {
+        seen: &seen,
+        noise_px: NOISE_PX,
+        keyframe_pose: &keyframe,
+        keyframe_covariance,
+        shutter: None,
+    };
     let prior =
         RigPrior { mean: [1.0, 0.0, 0.0], sigma: [0.3; 3], mount_share: [1.0; 3], shared_fraction: 0.0 };
     let config = MotionConfig { model: MotionModel::Free, ..Default::default() };

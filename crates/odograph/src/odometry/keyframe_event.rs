@@ -103,7 +103,7 @@ impl Odometry {
             time_s,
             segment: self.segment,
             pose: keyframe.pose,
-            covariance: keyframe.covariance,
+            covariance: keyframe.covariance + keyframe.model_covariance,
             tie,
             image: global_image(&self.camera, keyframe.pyramid.base(), &keyframe.pose, &keyframe.shutter),
             mask: keyframe.mask.clone(),

@@ -110,6 +110,8 @@ impl Odometry {
         let last = self.last.take();
         if let Some(mut candidate) = self.candidate.take() {
             let before = last.and_then(|last| self.across_the_gap(&last, &candidate.keyframe));
+            let model_covariance = self.keyframe.as_ref().map(|before| before.model_covariance);
+            candidate.keyframe.model_covariance = model_covariance.unwrap_or_default();
             self.number(&mut candidate.keyframe, candidate.made, before);
             if let Some(before) = self.keyframe.replace(candidate.keyframe) {
                 self.memory.remember(before.retire());

@@ -34,14 +34,14 @@ use crate::error::{Error, Result};
 use crate::filter::ConstantAcceleration;
 use crate::fixed_pattern::{FixedPattern, ImageMask, NonuniformityCorrection, SinceLast};
 use crate::geometry::pose_index::{HEIGHT, PITCH, ROLL};
-use crate::geometry::{GroundPoint, GroundPose, Pixel};
+use crate::geometry::{GroundPoint, GroundPose, Pixel, propagated};
 use crate::image::{GrayImage, Interlacing, Pyramid, even_field};
 use crate::motion::{MotionEstimate, MotionModel, PoseRates, Readout};
 use crate::trajectory::{FrameEstimate, LossReason, PlaneMeasurement, PoseEstimate, TrackStatus};
 use candidate::SegmentCandidate;
 pub use config::{KeyframeConfig, OdometryConfig};
 use found_corner::FoundCorner;
-use keyframe::{Keyframe, KeyframeMemory};
+use keyframe::{Keyframe, KeyframeMemory, KeyframeUpdate};
 pub use keyframe_event::{FrameReference, KeyframeEvent, NewKeyframe};
 use last_pose::LastPose;
 use learned::Learned;
@@ -359,7 +359,9 @@ impl Odometry {
         let inlier_ratio = self.keyframe.as_ref().map(|k| measurement.inlier_ratio(k, &self.camera));
         let Measurement { mut estimate, found, support, .. } = measurement;
         let mut learned_keyframe = self.keyframe.as_ref().map(|keyframe| keyframe.improved_by(&estimate));
-        if let Some((_, covariance)) = learned_keyframe.as_mut().filter(|_| self.keyframes == 1) {
+        if let Some(KeyframeUpdate { covariance, .. }) =
+            learned_keyframe.as_mut().filter(|_| self.keyframes == 1)
+        {
             // The first keyframe was taken to stand as the mount was said to.
             let [of_roll, of_pitch] = self.learned.rig_prior.mount_tilt_variance();
             covariance[(ROLL, ROLL)] += of_roll;
@@ -368,20 +370,22 @@ impl Odometry {
             covariance[(HEIGHT, HEIGHT)] += self.learned.relief_m2() / ELEVATIONS_IN_VIEW;
         }
         let by_keyframe = estimate.by_keyframe;
-        if let Some((moved, _)) = &learned_keyframe {
+        if let Some(KeyframeUpdate { moved, .. }) = &learned_keyframe {
             self.keyframe_off = by_keyframe * moved;
             // Height and tilt of the keyframe are in the fit; where it stood moves the frame with
             // it.
             let moved = PoseRates::new(moved[0], moved[1], moved[2], 0.0, 0.0, 0.0);
             estimate.pose = GroundPose::from_vector(&(estimate.pose.to_vector() + by_keyframe * moved));
         }
-        let propagated = learned_keyframe
-            .as_ref()
-            .map(|(_, covariance)| by_keyframe * covariance * by_keyframe.transpose());
+        let of_keyframe = learned_keyframe.as_ref();
+        let by_covariance = of_keyframe.map(|keyframe| propagated(&by_keyframe, &keyframe.covariance));
+        let by_model = of_keyframe.map(|keyframe| propagated(&by_keyframe, &keyframe.model_covariance));
         let (by_skew, by_readout) = self.shutter_errors(&estimate);
         let by_mount_tilt = self.by_mount_tilt(&estimate);
-        let covariance = propagated.unwrap_or_default() + estimate.covariance + by_skew;
+        let covariance = by_covariance.unwrap_or_default() + estimate.covariance + by_skew;
+        let model_covariance = by_model.unwrap_or_default() + estimate.model_covariance;
         let known_covariance = covariance
+            + model_covariance
             + self.learned.readout_covariance(&by_readout)
             + self.learned.mount_covariance(&by_mount_tilt)
             + self.learned.level_covariance(&estimate.pose);
@@ -393,8 +397,8 @@ impl Odometry {
         };
         self.tracks.clear();
         self.tracks.extend(found.iter().zip(&estimate.inliers).filter_map(view));
-        if let (Some(keyframe), Some(propagated), Some((moved, _))) =
-            (&self.keyframe, &propagated, &learned_keyframe)
+        if let (Some(keyframe), Some(propagated), Some(KeyframeUpdate { moved, .. })) =
+            (&self.keyframe, &by_covariance, &learned_keyframe)
         {
             let keyframe = GroundPose::from_vector(&(keyframe.pose.to_vector() + moved));
             self.learned.rig_prior.learn(&estimate, &keyframe, propagated);
@@ -428,8 +432,16 @@ impl Odometry {
             self.keep_only(&found, covariance); // from here on what was found has other numbers
         }
         if keyframe {
-            let moved = learned_keyframe.map_or_else(PoseRates::zeros, |(moved, _)| moved);
-            self.change_keyframe(pyramid, time_s, &estimate, (moved, covariance), by_readout, by_mount_tilt);
+            let moved = learned_keyframe.map_or_else(PoseRates::zeros, |keyframe| keyframe.moved);
+            self.change_keyframe(
+                pyramid,
+                time_s,
+                &estimate,
+                (moved, covariance),
+                model_covariance,
+                by_readout,
+                by_mount_tilt,
+            );
         } else {
             self.spare = Some(pyramid);
             // The mean follows its corners from frame to frame, under numbers of their own.
@@ -556,7 +568,7 @@ impl Odometry {
         jacobian[(1, 2)] = dx;
         jacobian[(0, 3)] = dx / keyframe.pose.height_m;
         jacobian[(1, 3)] = dy / keyframe.pose.height_m;
-        jacobian * keyframe.covariance * jacobian.transpose()
+        propagated(&jacobian, &keyframe.covariance)
     }
 
     /// For the mean vector, measured from frame to frame: only the corners just seen are kept, and

@@ -272,6 +272,7 @@ mod tests {
         let estimate = MotionEstimate {
             pose,
             covariance: Matrix6::identity(),
+            model_covariance: Matrix6::zeros(),
             by_keyframe: Matrix6::identity(),
             by_prior_tilt: nalgebra::Matrix6x2::zeros(),
             keyframe_error: None,

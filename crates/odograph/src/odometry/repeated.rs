@@ -66,6 +66,7 @@ impl Odometry {
         let velocity = self.filter.as_ref().map(|filter| filter.filtered().velocity).unwrap_or_default();
         self.repeated += 1;
         self.tracks.clear();
+        let model_covariance = self.keyframe.as_ref().map(|keyframe| keyframe.model_covariance);
         let keyframe = self.keyframe.as_ref().and_then(|keyframe| keyframe.id);
         self.reference = keyframe.map(|keyframe| FrameReference { keyframe, next: None });
         Some(FrameEstimate {
@@ -75,7 +76,7 @@ impl Odometry {
             estimate: Some(PoseEstimate {
                 pose,
                 velocity,
-                covariance: last.covariance + own,
+                covariance: last.covariance + model_covariance.unwrap_or_default() + own,
                 measured: PlaneMeasurement::new(&pose, &own),
             }),
             tracks: 0,

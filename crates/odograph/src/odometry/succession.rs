@@ -41,6 +41,7 @@ impl Odometry {
         time_s: f64,
         estimate: &MotionEstimate,
         (moved, covariance): (PoseRates, Matrix6<f64>),
+        model_covariance: Matrix6<f64>,
         by_readout: PoseRates,
         by_mount_tilt: Matrix6x2<f64>,
     ) {
@@ -63,6 +64,7 @@ impl Odometry {
             Some(Before { id: before.id?, pose, covariance, kind })
         });
         next.in_halves = self.frames - self.serves_since >= LEISURE_FRAMES;
+        next.model_covariance = model_covariance;
         next.by_readout = by_readout;
         next.moving = self.keyframe.as_ref().map(Keyframe::moving_ground).unwrap_or_default();
         next.by_mount_tilt = by_mount_tilt;

@@ -219,6 +219,7 @@ impl DenseLevel<'_> {
         let agreeing = vec![true; observations.len()];
         let observations = Observations {
             seen: &observations,
+            noise_px: median_px,
             keyframe_pose: self.keyframe_pose,
             keyframe_covariance: &Matrix3::zeros(),
             shutter: None,

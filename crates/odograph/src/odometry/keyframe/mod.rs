@@ -36,6 +36,17 @@ use std::sync::{Arc, OnceLock};
 /// Corners this near the border cannot carry a full template with its gradients.
 const MARGIN_PX: usize = 9;
 
+/// What a frame tells of the errors of its keyframe.
+#[derive(Debug, Clone, Copy)]
+pub struct KeyframeUpdate {
+    /// By how much the pose is off, (x, y, heading, height, roll, pitch).
+    pub moved: Vector6<f64>,
+    /// Covariance that is left.
+    pub covariance: Matrix6<f64>,
+    /// The same by errors of the model.
+    pub model_covariance: Matrix6<f64>,
+}
+
 /// An image in use as the reference, with its corners prepared for being found again.
 #[derive(Debug)]
 pub struct Keyframe {
@@ -45,6 +56,8 @@ pub struct Keyframe {
     pub pose: GroundPose,
     /// Of the pose against the start of the run, (x, y, heading, height, roll, pitch).
     pub covariance: Matrix6<f64>,
+    /// The same by errors of the model.
+    pub model_covariance: Matrix6<f64>,
     /// How its image was exposed.
     pub shutter: RollingShutter,
     /// Variances of the rates of the pose meanwhile.
@@ -129,6 +142,7 @@ impl Keyframe {
             pyramid,
             pose,
             covariance,
+            model_covariance: Matrix6::zeros(),
             shutter: RollingShutter {
                 readout_s: 0.0,
                 rows,
@@ -240,8 +254,10 @@ impl Keyframe {
     pub fn recalibrate(&mut self, camera: &Camera, mount: Option<&GroundPose>, readout_s: Option<f64>) {
         if let Some(mount) = mount {
             self.pose = self.pose.with_mount_of(mount);
-            self.covariance.fixed_rows_mut::<3>(3).fill(0.0);
-            self.covariance.fixed_columns_mut::<3>(3).fill(0.0);
+            for covariance in [&mut self.covariance, &mut self.model_covariance] {
+                covariance.fixed_rows_mut::<3>(3).fill(0.0);
+                covariance.fixed_columns_mut::<3>(3).fill(0.0);
+            }
             (self.level_m, self.undulates, self.surface) = (0.0, false, None);
         }
         self.shutter.readout_s = readout_s.unwrap_or(self.shutter.readout_s);
@@ -308,29 +324,40 @@ impl Keyframe {
         self.covariance.fixed_view::<3, 3>(3, 3).into_owned()
     }
 
-    /// By how much the pose is off as a frame measured against it has it, and the covariance that
-    /// is left: what is learned of height and tilt also corrects the place, as far as their errors
-    /// are correlated.
-    pub fn improved_by(&self, frame: &MotionEstimate) -> (Vector6<f64>, Matrix6<f64>) {
-        let unchanged = (Vector6::zeros(), self.covariance);
+    /// What a frame measured against it tells of its errors: what is learned of height and tilt also
+    /// corrects the place, as far as their errors are correlated.
+    pub fn improved_by(&self, frame: &MotionEstimate) -> KeyframeUpdate {
+        let (covariance, model_covariance) = (self.covariance, self.model_covariance);
+        let unchanged = KeyframeUpdate { moved: Vector6::zeros(), covariance, model_covariance };
         let Some(error) = &frame.keyframe_error else { return unchanged };
         let before = self.rig_covariance();
         let Some(information) = before.try_inverse() else { return unchanged };
-        let gain = self.covariance.fixed_view::<6, 3>(0, 3) * information;
-        let covariance = self.covariance - gain * (before - error.covariance) * gain.transpose();
-        (gain * error.mean, 0.5 * (covariance + covariance.transpose()))
+        let by_rig = self.covariance.fixed_view::<6, 3>(0, 3) * information;
+        let removed = before - error.covariance;
+        let covariance = self.covariance - by_rig * removed * by_rig.transpose();
+        // I − K H of the Kalman filter.
+        let mut remaining = Matrix6::identity();
+        let mut of_rig = remaining.fixed_view_mut::<6, 3>(0, 3);
+        of_rig -= by_rig * removed * information;
+        KeyframeUpdate {
+            moved: by_rig * error.mean,
+            covariance: 0.5 * (covariance + covariance.transpose()),
+            model_covariance: propagated(&remaining, &self.model_covariance),
+        }
     }
 
     /// Covariance of the pose of a frame relative to this keyframe. The fit is conditional on the
     /// keyframe's height, tilt and skew, which are uncertain themselves; where scale is free, the
     /// metres are those at the keyframe's height, whatever that is.
     pub fn relative_covariance(&self, frame: &MotionEstimate, model: MotionModel) -> Matrix6<f64> {
-        let (_, improved) = self.improved_by(frame);
+        let KeyframeUpdate { covariance, model_covariance, .. } = self.improved_by(frame);
+        let improved = covariance + model_covariance;
         let of = if model.scale_is_free() { ROLL..ROLL + 2 } else { HEIGHT..ROLL + 2 };
         let mut uncertain = Matrix6::zeros();
         let (at, size) = ((of.start, of.start), (of.len(), of.len()));
         uncertain.view_mut(at, size).copy_from(&improved.view(at, size));
-        frame.covariance + propagated(&frame.by_keyframe, &uncertain) + self.covariance_by_skew(frame)
+        let own = frame.covariance + frame.model_covariance;
+        own + propagated(&frame.by_keyframe, &uncertain) + self.covariance_by_skew(frame)
     }
 
     /// What the uncertain skew of this keyframe adds to the covariance of a frame's pose.

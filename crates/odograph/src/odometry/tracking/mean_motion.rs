@@ -35,6 +35,7 @@ pub(super) fn mean_motion(
     Some(MotionEstimate {
         pose: GroundPose { x_m: last.x_m + x_m, y_m: last.y_m + y_m, ..*last },
         covariance,
+        model_covariance: Matrix6::zeros(),
         by_keyframe: Matrix6::identity(),
         by_prior_tilt: Matrix6x2::zeros(),
         keyframe_error: None,

@@ -7,7 +7,8 @@ use crate::camera::Camera;
 use crate::geometry::GroundPose;
 use crate::motion::{Correspondence, Elevation, Observation, RollingShutter, ShutterPrior, whitened};
 
-/// The corners found, each whitened by the covariance of its patch. Pixels of a rolling shutter are
+/// The corners found, each whitened by the covariance of its patch, and the standard deviation of
+/// the median one by the noise of the images, pixels. Pixels of a rolling shutter are
 /// corrected to where a global one would have seen them from `pose`.
 pub(super) fn observations(
     keyframe: &Keyframe,
@@ -16,7 +17,7 @@ pub(super) fn observations(
     pose: &GroundPose,
     shutter: Option<(&ShutterPrior, &RollingShutter)>,
     (relief_m2, new_ground_m2): (f64, f64),
-) -> Buffer<Observation> {
+) -> (Buffer<Observation>, f64) {
     let correspondence = |found: &FoundCorner| {
         let corner = &keyframe.corners[found.corner];
         let (mut ground, mut pixel, mut row_fraction) = (corner.patch.ground, found.warp.position, 0.0);
@@ -36,7 +37,7 @@ pub(super) fn observations(
         Correspondence { ground, elevation, pixel, covariance_px2, row_fraction, keyframe_row_fraction }
     };
     let correspondences: Buffer<Correspondence> = found.iter().map(correspondence).collect();
-    whitened(&correspondences, SHARED_PX2).map_or_else(Buffer::new, |(observations, _)| observations)
+    whitened(&correspondences, SHARED_PX2).unwrap_or_else(|| (Buffer::new(), 0.0))
 }
 
 /// Lower bound of a track's variance, pixels²: 0.02 px of interpolation and warp error. Where all

@@ -43,12 +43,13 @@ pub(super) fn fit_pose(
                 .frame_shutter
                 .map(|prior| ShutterPrior { applies: prior.applies || plane.is_tilted, ..prior });
             let shutter = frame_shutter.as_ref().zip(shutter.as_ref());
-            let observations =
+            let (observations, noise_px) =
                 observations(keyframe, &found, camera, near, shutter, (plane.relief_m2, plane.new_ground_m2));
             let shutter = shutter.map(|(prior, shutter)| (prior, shutter.rates));
             let keyframe_covariance = &(keyframe.rig_covariance() + plane.tilt_covariance());
             let observations = Observations {
                 seen: &observations,
+                noise_px,
                 keyframe_pose: &keyframe.pose,
                 keyframe_covariance,
                 shutter,

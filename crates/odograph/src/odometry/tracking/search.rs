@@ -104,12 +104,18 @@ fn pose_of_probes(
 ) -> Option<GroundPose> {
     let shutter = learned.shutter_at(camera, prediction);
     let shutter = learned.frame_shutter.as_ref().zip(shutter.as_ref());
-    let observations = observations(keyframe, found, camera, prediction, shutter, (learned.relief_m2(), 0.0));
+    let (observations, noise_px) =
+        observations(keyframe, found, camera, prediction, shutter, (learned.relief_m2(), 0.0));
     let prior = learned.rig_prior.prior(prediction, &config.motion);
     let shutter = shutter.map(|(prior, shutter)| (prior, shutter.rates));
     let keyframe_covariance = &keyframe.rig_covariance();
-    let observations =
-        Observations { seen: &observations, keyframe_pose: &keyframe.pose, keyframe_covariance, shutter };
+    let observations = Observations {
+        seen: &observations,
+        noise_px,
+        keyframe_pose: &keyframe.pose,
+        keyframe_covariance,
+        shutter,
+    };
     let estimate = estimate(camera, observations, prediction, &prior, &config.motion, random)?;
     let probes = probes.map(|index| &keyframe.corners[index]);
     let expected = in_view(keyframe, probes, camera, &estimate.pose);
