@@ -219,7 +219,8 @@ impl DenseLevel<'_> {
         let agreeing = vec![true; observations.len()];
         let observations = Observations {
             seen: &observations,
-            noise_px: median_px,
+            // The scatter of tiles that cover the whole image is their own.
+            noise_px: f64::INFINITY,
             keyframe_pose: self.keyframe_pose,
             keyframe_covariance: &Matrix3::zeros(),
             shutter: None,
