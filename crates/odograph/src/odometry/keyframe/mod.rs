@@ -324,8 +324,8 @@ impl Keyframe {
         self.covariance.fixed_view::<3, 3>(3, 3).into_owned()
     }
 
-    /// What a frame measured against it tells of its errors: what is learned of height and tilt also
-    /// corrects the place, as far as their errors are correlated.
+    /// What a frame measured against it tells of its errors: what is learned of height and tilt
+    /// also corrects the place, as far as their errors are correlated.
     pub fn improved_by(&self, frame: &MotionEstimate) -> KeyframeUpdate {
         let (covariance, model_covariance) = (self.covariance, self.model_covariance);
         let unchanged = KeyframeUpdate { moved: Vector6::zeros(), covariance, model_covariance };
