@@ -168,10 +168,11 @@ fn a_rate_or_timestamps_file_overrides_the_container() {
     std::fs::write(&file, "0\n1\n").unwrap();
     let mut source = opened("vfr.mkv", &options);
     let error = std::iter::from_fn(|| source.next_frame().transpose()).find_map(Result::err).unwrap();
-    assert!(
-        error.to_string().ends_with("the file of timestamps has 2 times, but there are more frames"),
-        "{error}"
+    let said = format!(
+        "{} has 2 times, but there are more frames; give a time for each frame",
+        file.path().display()
     );
+    assert!(error.to_string().ends_with(&said), "{error}");
 }
 
 #[test]
