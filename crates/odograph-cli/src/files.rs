@@ -2,7 +2,7 @@
 
 pub use odograph_session::files::*;
 
-use odograph::error::Result;
+use odograph::error::{Error, Result};
 use std::fs;
 use std::path::{Path, PathBuf};
 
@@ -35,6 +35,19 @@ impl MadeFolders {
     /// The folder that a file is to be written into, made where it is missing.
     pub fn of_file(path: &Path) -> Result<Self> {
         Self::new(path.parent().unwrap_or(Path::new("")))
+    }
+}
+
+/// Whether results of these names may be written into `folder`, checked before any work: fails if
+/// it is a file, or if one of them is there and may not be overwritten.
+pub fn check_output_names(folder: &Path, names: &[&str], force: bool) -> Result<()> {
+    check_output_folder(folder)?;
+    match names.iter().map(|name| folder.join(name)).find(|path| path.exists() && !force) {
+        Some(there) => Err(Error::usage(format!(
+            "{} is already there; choose another folder, or --force to overwrite it",
+            there.display()
+        ))),
+        None => Ok(()),
     }
 }
 

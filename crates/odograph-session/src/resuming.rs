@@ -17,19 +17,20 @@ impl RunBuilder {
     /// If the run in the folder is complete or goes on, or if the folder does not say what was run.
     pub fn resuming(folder: impl AsRef<Path>) -> Result<Self> {
         let folder = folder.as_ref();
-        let refused = |why: &str| {
-            let shown = folder.display().to_string();
-            Error::usage(format!("{shown} {}", why.replace("FOLDER", shown.trim_end_matches('/'))))
-        };
+        let shown = folder.display();
+        let refused = |why: &str| Error::usage(format!("{shown} {why}"));
         if !folder.is_dir() {
             return Err(refused("is not the folder of a run"));
         }
         let Some(unfinished) = UnfinishedRun::in_folder(folder) else {
-            return Err(refused(if folder.join("stats.json").exists() {
-                "has a run that is complete; odograph run FOLDER/run.toml repeats it into another folder"
-            } else {
-                "has no run that was begun; give the folder of a run that was killed"
-            }));
+            return Err(match folder.join("stats.json").exists() {
+                true => {
+                    let plan = folder.join("run.toml");
+                    let repeat = format!("odograph run {} repeats it into another folder", plan.display());
+                    refused(&format!("has a run that is complete; {repeat}"))
+                }
+                false => refused("has no run that was begun; give the folder of a run that was killed"),
+            });
         };
         if unfinished.goes_on {
             return Err(refused("has a run that goes on; wait until that has ended"));

@@ -36,8 +36,9 @@ const CONTAINERS: &str = "mov,matroska,avi,mpeg,mpegts,flv,asf,ogg,mxf,gxf,ivf,n
                           mpegvideo,m4v,vc1,obu,av1,dirac,h264,hevc,vvc,bmp_pipe,webp_pipe,jpegxl_pipe,j2k_pipe,exr_pipe,dpx_pipe,\
                           sgi_pipe,pam_pipe,qoi_pipe";
 
-/// Characters that are quoted of a message of ffmpeg.
+/// Most characters that are quoted of a message of ffmpeg.
 const MAX_QUOTED: usize = 200;
+
 /// Messages of ffmpeg that say no more than that a file is of no format that it may try. Where it
 /// misses an index it has only guessed from the name that the file is an MP4.
 const NOT_RECOGNISED: [&str; 3] =

@@ -11,7 +11,7 @@ use nalgebra::{Matrix6, Vector6};
 
 /// Variance of a coordinate of a track beyond that by the noise of the images, pixels²: the moment
 /// estimate of R. DerSimonian and N. Laird (1986), in which tracks count by their information.
-pub fn model_error_px2(observations: &Observations<'_>, residuals: &[Residual], weights: &[f64]) -> f64 {
+fn variance_px2(observations: &Observations<'_>, residuals: &[Residual], weights: &[f64]) -> f64 {
     let (mut excess_px2, mut information) = (0.0, 0.0);
     for ((observation, residual), &weight) in observations.seen.iter().zip(residuals).zip(weights) {
         if weight > 0.0 {
@@ -22,10 +22,10 @@ pub fn model_error_px2(observations: &Observations<'_>, residuals: &[Residual], 
     if information > 0.0 { (excess_px2 / information).max(0.0) } else { 0.0 }
 }
 
-/// Covariance of the pose, given the keyframe, by an error of one pixel in each [`modes`] of each
-/// coordinate. A fit absorbs such errors in heading, height and tilt, and no number of tracks
-/// averages them out.
-pub fn covariance_by_model_error(
+/// Covariance of the pose, given the keyframe, by errors of the model: independent ones in each of
+/// the [`modes`] of each coordinate. A fit absorbs them in heading, height and tilt, and no number
+/// of tracks averages them out.
+pub fn model_covariance(
     camera: &Camera,
     nuisance: &Nuisance<'_>,
     residuals: &[Residual],
@@ -34,6 +34,10 @@ pub fn covariance_by_model_error(
     unknowns: &Unknowns,
     scale_px: f64,
 ) -> Matrix6<f64> {
+    let variance_px2 = variance_px2(&nuisance.observations, residuals, weights);
+    if variance_px2 == 0.0 {
+        return Matrix6::zeros();
+    }
     let mut slopes: [[Row; 2]; MODES] = Default::default();
     for ((observation, residual), &weight) in nuisance.observations.seen.iter().zip(residuals).zip(weights) {
         if weight <= 0.0 {
@@ -59,9 +63,10 @@ pub fn covariance_by_model_error(
         let change = Vector6::from_row_slice(&given_keyframe.solve(&slope)[..POSE]);
         covariance += change * change.transpose();
     }
-    covariance
+    covariance * variance_px2
 }
 
+/// Number of [`modes`].
 const MODES: usize = 6;
 
 /// Polynomials of second order in the image coordinates, each of which is 1 at most: the form in

@@ -3,7 +3,7 @@
 
 use super::correlated_noise::{ResidualCorrelation, shared_covariance, shared_px};
 use super::elevation::MeasuredElevation;
-use super::model_error::{covariance_by_model_error, model_error_px2};
+use super::model_error::model_covariance;
 use super::normal_equations::{NormalEquations, POSE, Row, Unknowns, WITH_KEYFRAME, WITH_SKEW};
 use super::nuisance::Nuisance;
 use super::pose_covariance::{RobustFit, by_prior_tilt, pose_changes, well_constrained_scale};
@@ -227,15 +227,6 @@ pub fn refine(
             by_keyframe: by_keyframe.fixed_view::<3, 3>(3, 3).into_owned(),
         }
     });
-    let by_model_error = covariance_by_model_error(
-        camera,
-        &nuisance,
-        &residuals,
-        &weights,
-        &given_keyframe,
-        &unknowns,
-        scale_px,
-    );
     let covariance = own + shared_covariance(camera, &pose, &unknowns, shared_px);
     if (0..2).any(|i| covariance[(i, i)].sqrt() > MAX_RELATIVE_SIGMA * pose.height_m) {
         return None;
@@ -245,10 +236,12 @@ pub fn refine(
     // symmetry, and up to 1e-4 as linearised. With a position uncertain by a metre, as after a gap,
     // the path would jump as soon as the tilt is known better.
     by_keyframe.fixed_view_mut::<3, 3>(3, 0).fill(0.0);
+    let model_covariance =
+        model_covariance(camera, &nuisance, &residuals, &weights, &given_keyframe, &unknowns, scale_px);
     Some(MotionEstimate {
         pose,
         covariance,
-        model_covariance: by_model_error * model_error_px2(&nuisance.observations, &residuals, &weights),
+        model_covariance,
         by_keyframe,
         by_prior_tilt: by_prior_tilt(&given_keyframe, &rig_prior, &unknowns),
         keyframe_error,

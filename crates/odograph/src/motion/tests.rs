@@ -159,7 +159,7 @@ fn errors_of_the_model_are_part_of_the_stated_error() {
     }
     println!("NEES {by_noise} {by_both}");
     // Six unknowns. How smooth the error is decides how much of it the pose takes up, so that the
-    // statement is right within a factor of two.
+    // deviation is true within a factor of two, and the NEES within four.
     assert!(by_noise > 60.0, "the noise alone does not explain the error: NEES {by_noise}");
     assert!(by_both > 1.5 && by_both < 24.0, "NEES {by_both}");
 

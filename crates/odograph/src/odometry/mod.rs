@@ -378,12 +378,13 @@ impl Odometry {
             estimate.pose = GroundPose::from_vector(&(estimate.pose.to_vector() + by_keyframe * moved));
         }
         let of_keyframe = learned_keyframe.as_ref();
-        let by_covariance = of_keyframe.map(|keyframe| propagated(&by_keyframe, &keyframe.covariance));
-        let by_model = of_keyframe.map(|keyframe| propagated(&by_keyframe, &keyframe.model_covariance));
+        let from_keyframe = of_keyframe.map(|keyframe| propagated(&by_keyframe, &keyframe.covariance));
+        let model_from_keyframe =
+            of_keyframe.map(|keyframe| propagated(&by_keyframe, &keyframe.model_covariance));
         let (by_skew, by_readout) = self.shutter_errors(&estimate);
         let by_mount_tilt = self.by_mount_tilt(&estimate);
-        let covariance = by_covariance.unwrap_or_default() + estimate.covariance + by_skew;
-        let model_covariance = by_model.unwrap_or_default() + estimate.model_covariance;
+        let covariance = from_keyframe.unwrap_or_default() + estimate.covariance + by_skew;
+        let model_covariance = model_from_keyframe.unwrap_or_default() + estimate.model_covariance;
         let known_covariance = covariance
             + model_covariance
             + self.learned.readout_covariance(&by_readout)
@@ -398,7 +399,7 @@ impl Odometry {
         self.tracks.clear();
         self.tracks.extend(found.iter().zip(&estimate.inliers).filter_map(view));
         if let (Some(keyframe), Some(propagated), Some(KeyframeUpdate { moved, .. })) =
-            (&self.keyframe, &by_covariance, &learned_keyframe)
+            (&self.keyframe, &from_keyframe, &learned_keyframe)
         {
             let keyframe = GroundPose::from_vector(&(keyframe.pose.to_vector() + moved));
             self.learned.rig_prior.learn(&estimate, &keyframe, propagated);

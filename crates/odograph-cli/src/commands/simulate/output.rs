@@ -63,15 +63,7 @@ impl SimulationOutput {
                 "frames that are dropped or late need timestamps, which only --format png keeps (frames.txt)",
             ));
         }
-        files::check_output_folder(&folder)?;
-        if let Some(there) = OURS.iter().map(|name| folder.join(name)).find(|path| path.exists())
-            && !arguments.force
-        {
-            return Err(Error::usage(format!(
-                "{} is already there; choose another folder, or --force to overwrite it",
-                there.display()
-            )));
-        }
+        files::check_output_names(&folder, &OURS, arguments.force)?;
         let made = MadeFolders::new(&folder)?;
         let threads = arguments
             .threads

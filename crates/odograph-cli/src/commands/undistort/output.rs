@@ -74,13 +74,7 @@ impl UndistortedOutput {
     /// Prepares the folder. Fails if results exist and `force` does not allow replacing them, or if
     /// it cannot be written.
     pub fn new(folder: &Path, format: OutputFormat, force: bool) -> Result<Self> {
-        files::check_output_folder(folder)?;
-        if let Some(there) = OURS.iter().map(|name| folder.join(name)).find(|path| path.exists() && !force) {
-            return Err(Error::usage(format!(
-                "{} is already there; choose another folder, or --force to overwrite it",
-                there.display()
-            )));
-        }
+        files::check_output_names(folder, &OURS, force)?;
         let made = MadeFolders::new(folder)?;
         let begin = || -> io::Result<FrameWriter> {
             Ok(match format {

@@ -49,12 +49,7 @@ pub fn write(file: &mut MapFile, folder: &Path, force: bool) -> Result<String> {
         )));
     }
     let camera = write_as(&map.camera, CameraFormat::Colmap)?;
-    if let Some(there) = OURS.iter().map(|name| folder.join(name)).find(|path| path.exists() && !force) {
-        return Err(Error::usage(format!(
-            "{} is already there; choose another folder, or --force to overwrite it",
-            there.display()
-        )));
-    }
+    files::check_output_names(folder, &OURS, force)?;
     let _made = files::MadeFolders::new(folder)?;
     let written = write_files(file, &map, &camera, folder);
     if written.is_err() && !force {
