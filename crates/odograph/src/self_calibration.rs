@@ -44,6 +44,7 @@ pub struct MultiPassCalibration {
     pub corrects_pattern: bool,
     /// Whether the lens is known and not estimated.
     pub lens_is_known: bool,
+    given: (Camera, Rig),
     found: Option<CalibrationUpdate>,
 }
 
@@ -51,6 +52,7 @@ impl MultiPassCalibration {
     /// Begins with the given camera and rig; nothing ends a pass.
     pub fn new(camera: Camera, rig: Rig) -> Self {
         Self {
+            given: (camera.clone(), rig),
             camera,
             rig,
             correction: None,
@@ -76,7 +78,7 @@ impl MultiPassCalibration {
     pub fn monitor(&self) -> CameraMonitor {
         let calibration = self.calibrates.then(|| {
             let monitor = match &self.found {
-                Some(found) => CalibrationMonitor::found(&self.camera, &self.rig, found),
+                Some(found) => CalibrationMonitor::with_estimate(&self.given.0, &self.given.1, found),
                 None => CalibrationMonitor::new(&self.camera, &self.rig),
             };
             if self.lens_is_known { monitor.with_lens_known() } else { monitor }
@@ -86,15 +88,15 @@ impl MultiPassCalibration {
 
     /// Mount, lens and readout time that the passes have found, if they differ from the given ones.
     pub fn found(&self) -> Option<&CalibrationUpdate> {
-        self.found.as_ref()
+        self.found.as_ref().filter(|found| !found.is_nothing())
     }
 
     /// Corrects the assumed camera.
     pub fn apply(&mut self, difference: CameraDifference) {
         match difference {
             CameraDifference::Calibration(found) => {
-                self.rig = found.rig(&self.rig);
-                self.camera = found.camera(&self.camera);
+                let (camera, rig) = &self.given;
+                (self.camera, self.rig) = (found.camera(camera), found.rig(rig));
                 self.found = Some(*found);
             }
             CameraDifference::FixedPattern(pattern) => self.correction = Some(pattern),

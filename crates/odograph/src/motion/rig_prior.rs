@@ -341,6 +341,11 @@ impl RigPriorEstimator {
         Matrix2::from_diagonal(&errors)
     }
 
+    /// Covariance of the mount's roll and pitch before any keyframe, radians².
+    pub fn unknown_mount_tilt() -> Matrix2<f64> {
+        Matrix2::from_diagonal_element(PRIOR_TILT_SIGMA * PRIOR_TILT_SIGMA)
+    }
+
     /// Sets the covariance of the mount's roll and pitch, radians², where they were measured.
     pub fn set_mount_tilt_covariance(&mut self, covariance: &Matrix2<f64>) {
         (0..2).for_each(|i| self.mount_tilt[i].variance = covariance[(i, i)]);

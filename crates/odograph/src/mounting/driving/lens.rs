@@ -59,6 +59,9 @@ const MIN_OFF_PX: f64 = 0.03;
 /// poor calibration.
 const MAX_SIGMA_PX: f64 = 0.5;
 
+/// A better estimate is used if its standard deviation is smaller by this factor.
+const MAX_SIGMA_RATIO: f64 = 0.8;
+
 /// Largest scatter between keyframes, as a fraction of the difference: above it, the cause is not
 /// the lens.
 const MAX_SCATTER: f64 = 1.0 / 3.0;
@@ -70,6 +73,13 @@ impl LensMeasurement {
             && self.off_px >= MIN_OFF_PX
             && self.scatter_px < MAX_SCATTER * self.off_px
             && self.deviation_px < MAX_SIGMA_PX.min(MAX_SCATTER * self.off_px)
+    }
+
+    /// Whether it is clearly more precise than the estimate in use, or far from it, and different.
+    pub(super) fn is_better_than(&self, used: &Self) -> bool {
+        let off_px = self.off_from_px(&used.camera);
+        let is_far = off_px >= MIN_SIGMAS * self.deviation_px;
+        off_px >= MIN_OFF_PX && (is_far || self.deviation_px < MAX_SIGMA_RATIO * used.deviation_px)
     }
 
     /// The same parameters of another camera; zero where its model lacks them.

@@ -23,8 +23,8 @@ pub struct CalibrationMonitor {
     /// Whether the lens is estimated, too.
     lens: bool,
     readout_is_given: bool,
-    /// The earlier estimate on which the given tilt and lens are based, if any.
-    before: CalibrationUpdate,
+    /// The estimate in use, by an earlier check: nothing while the given calibration is.
+    in_use: CalibrationUpdate,
     /// Whether the odometry itself deviates from the given height or tilt.
     deviates: bool,
     /// Number of pairs at which the next check is due.
@@ -45,8 +45,8 @@ pub struct CalibrationUpdate {
 }
 
 impl CalibrationUpdate {
-    /// Whether nothing differs.
-    fn is_nothing(&self) -> bool {
+    /// Whether nothing differs: what an earlier check found is withdrawn.
+    pub fn is_nothing(&self) -> bool {
         self.tilt.is_none() && self.readout.is_none() && self.lens.is_none()
     }
 
@@ -112,18 +112,17 @@ impl CalibrationMonitor {
         let config =
             DrivingConfig { max_tracks: MAX_TRACKS, max_pairs: LAST_CHECK, ..DrivingConfig::default() };
         let driven = DrivenTilt::new(camera, config);
-        let (before, next_check) = (CalibrationUpdate::default(), FIRST_CHECK);
+        let (in_use, next_check) = (CalibrationUpdate::default(), FIRST_CHECK);
         let readout_is_given = camera.readout_s().is_some();
-        Self { driven, given: *given, lens: true, readout_is_given, before, deviates: false, next_check }
+        Self { driven, given: *given, lens: true, readout_is_given, in_use, deviates: false, next_check }
     }
 
-    /// Starts with a camera and rig that an earlier part of the recording determined.
-    pub fn found(camera: &Camera, given: &Rig, before: &CalibrationUpdate) -> Self {
-        let next_check = RECHECK_FACTOR * before.pairs;
-        let unknown = camera.clone().with_readout_s(None).ok().filter(|_| before.readout.is_some());
-        let mut watch = Self::new(unknown.as_ref().unwrap_or(camera), given);
-        watch.driven.set_assumed_readout_s(camera.readout_s().unwrap_or(0.0));
-        Self { before: before.clone(), deviates: true, next_check, ..watch }
+    /// Starts with the given camera and rig where the odometry uses an earlier estimate.
+    pub fn with_estimate(camera: &Camera, given: &Rig, in_use: &CalibrationUpdate) -> Self {
+        let next_check = RECHECK_FACTOR * in_use.pairs;
+        let mut watch = Self::new(camera, given);
+        watch.driven.set_assumed_readout_s(in_use.camera(camera).readout_s().unwrap_or(0.0));
+        Self { in_use: in_use.clone(), deviates: true, next_check, ..watch }
     }
 
     /// The lens is known and not estimated.
@@ -133,7 +132,8 @@ impl CalibrationMonitor {
 
     /// Takes the next frame, the result of [`Odometry::process`], and its tracks. Returns the
     /// estimated calibration as soon as it differs significantly from the given one, or is clearly
-    /// more precise than the earlier estimate.
+    /// more precise than the earlier estimate; one of nothing where more of the recording does not
+    /// bear out the earlier estimate.
     pub fn watch(&mut self, frame: &FrameEstimate, odometry: &Odometry) -> Option<CalibrationUpdate> {
         self.collect(frame, odometry);
         if !self.is_due() {
@@ -159,43 +159,36 @@ impl CalibrationMonitor {
 
     /// Schedules the check after this one.
     pub(super) fn schedule_next(&mut self) {
-        self.next_check *= if self.before.is_nothing() { 2 } else { RECHECK_FACTOR };
+        self.next_check *= if self.in_use.pairs == 0 { 2 } else { RECHECK_FACTOR };
     }
 
     /// A monitor for the rest of a recording that goes on with what was found.
-    pub(super) fn after(&self, camera: &Camera, rig: &Rig, found: &CalibrationUpdate) -> Self {
-        let watch = Self::found(camera, rig, found);
+    pub(super) fn after(&self, found: &CalibrationUpdate) -> Self {
+        let watch = Self::with_estimate(&self.driven.camera, &self.given, found);
         Self { lens: self.lens, ..watch }
     }
 
     /// The check at the end of a recording that is too short for the next scheduled one: a short
     /// recording is cheap to track again.
     pub fn at_end(&self) -> Option<CalibrationUpdate> {
-        let least = if self.before.is_nothing() { FIRST_CHECK } else { END_FACTOR * self.before.pairs };
+        let least = if self.in_use.pairs == 0 { FIRST_CHECK } else { END_FACTOR * self.in_use.pairs };
         let worth = self.next_check <= LAST_CHECK && self.driven.pairs() >= least;
         worth.then(|| self.check()).flatten()
     }
 
-    /// The estimated calibration if it differs significantly from the given one.
+    /// The estimated calibration if it is to replace the one in use.
     pub(super) fn check(&self) -> Option<CalibrationUpdate> {
         if !self.deviates {
             return None;
         }
         let (tilt, lens) = self.measured()?;
-        if !self.driven.explains(&tilt) {
-            return None;
+        let mut found = CalibrationUpdate { pairs: self.driven.pairs(), ..CalibrationUpdate::default() };
+        if self.driven.explains(&tilt) {
+            found.readout = tilt.readout.filter(|found| self.is_believed(found));
+            found.tilt = Some(tilt).filter(|tilt| self.differs_significantly(tilt));
+            found.lens = lens;
         }
-        let replaces_tilt = self.replaces_tilt(&tilt);
-        let replaces_lens = lens.as_ref().is_some_and(|lens| self.replaces_lens(lens));
-        let readout = tilt.readout.filter(|found| self.driven.is_possible(found));
-        let replaces_readout = readout.is_some_and(|readout| self.replaces_readout(&readout));
-        (replaces_tilt || replaces_lens || replaces_readout).then(|| CalibrationUpdate {
-            // An earlier estimate is replaced by the new one even where the difference is small.
-            tilt: (replaces_tilt || self.before.tilt.is_some()).then_some(tilt),
-            readout: readout.filter(|_| replaces_readout || self.before.readout.is_some()),
-            lens,
-            pairs: self.driven.pairs(),
-        })
+        self.replaces(&found).then_some(found)
     }
 
     /// The tilt, and the lens if it differs significantly; the tilt is the one estimated with that
@@ -204,10 +197,10 @@ impl CalibrationMonitor {
         if !self.lens {
             return Some((self.driven.solve(&self.given, None).ok()?, None));
         }
-        let before = self.before.lens.as_ref().map_or(0, |lens| lens.coefficients.len());
+        let before = self.in_use.lens.as_ref().map_or(0, |lens| lens.coefficients.len());
         let found = self.driven.self_calibration(&self.given, before).ok()?;
         Some(match found.lens {
-            Some((lens, tilt)) if self.before.lens.is_some() || lens.is_significant() => (tilt, Some(lens)),
+            Some((lens, tilt)) if lens.is_significant() => (tilt, Some(lens)),
             _ => (found.tilt, None),
         })
     }
@@ -224,27 +217,16 @@ impl CalibrationMonitor {
             || (pose.pitch_rad - self.given.pitch_rad).abs() > MIN_DEVIATION
     }
 
-    fn replaces_tilt(&self, found: &TiltMeasurement) -> bool {
-        match &self.before.tilt {
-            Some(before) => self.is_better(found, before),
-            None => self.differs_significantly(found),
-        }
+    /// Whether this is to replace the estimate in use.
+    fn replaces(&self, found: &CalibrationUpdate) -> bool {
+        let used = &self.in_use;
+        changes(&used.tilt, &found.tilt, is_better)
+            || changes(&used.readout, &found.readout, |found, used| found.is_better_than(used))
+            || changes(&used.lens, &found.lens, |found, used| found.is_better_than(used))
     }
 
-    fn replaces_lens(&self, found: &LensMeasurement) -> bool {
-        match &self.before.lens {
-            Some(before) if found.deviation_px < MAX_SIGMA_RATIO * before.deviation_px => {
-                found.off_px >= MIN_CHANGE_PX
-            }
-            _ => found.is_significant(),
-        }
-    }
-
-    fn replaces_readout(&self, found: &ReadoutMeasurement) -> bool {
-        match &self.before.readout {
-            Some(before) => found.is_better_than(before),
-            None => !self.readout_is_given && found.differs_from(0.0),
-        }
+    fn is_believed(&self, found: &ReadoutMeasurement) -> bool {
+        !self.readout_is_given && self.driven.is_possible(found) && found.differs_from(0.0)
     }
 
     /// Whether a tilt differs from the given one significantly, steadily and by enough to matter.
@@ -260,19 +242,26 @@ impl CalibrationMonitor {
             && certainty >= MIN_SIGMAS * MIN_SIGMAS
             && roll.hypot(pitch) < MAX_SCATTER * off.norm()
     }
+}
 
-    /// Whether a tilt is clearly more precise than the earlier one, and different from it.
-    fn is_better(&self, found: &TiltMeasurement, before: &TiltMeasurement) -> bool {
-        let off = (found.roll_rad - self.given.roll_rad).hypot(found.pitch_rad - self.given.pitch_rad);
-        let worst = |tilt: &TiltMeasurement| tilt.covariance.symmetric_eigenvalues().max();
-        off >= MIN_CHANGE_RAD && worst(found) < MAX_SIGMA_RATIO * MAX_SIGMA_RATIO * worst(before)
+/// Whether an estimate appears, disappears, or is better than the one in use.
+fn changes<T>(used: &Option<T>, found: &Option<T>, is_better: impl Fn(&T, &T) -> bool) -> bool {
+    match (used, found) {
+        (Some(used), Some(found)) => is_better(found, used),
+        _ => used.is_some() != found.is_some(),
     }
 }
 
-/// A better estimate is used if it differs by this much, radians and pixels at the edge of the
-/// image, and its standard deviation is smaller by this factor.
+/// Whether a tilt is clearly more precise than the one in use, and different from it.
+fn is_better(found: &TiltMeasurement, used: &TiltMeasurement) -> bool {
+    let off = (found.roll_rad - used.roll_rad).hypot(found.pitch_rad - used.pitch_rad);
+    let worst = |tilt: &TiltMeasurement| tilt.covariance.symmetric_eigenvalues().max();
+    off >= MIN_CHANGE_RAD && worst(found) < MAX_SIGMA_RATIO * MAX_SIGMA_RATIO * worst(used)
+}
+
+/// A better estimate is used if it differs by this much, radians, and its standard deviation is
+/// smaller by this factor.
 const MIN_CHANGE_RAD: f64 = 5e-5;
-const MIN_CHANGE_PX: f64 = 0.03;
 const MAX_SIGMA_RATIO: f64 = 0.8;
 
 /// Standard deviations from zero from which a readout time is worth a check.

@@ -3,6 +3,7 @@
 use super::{CalibrationMonitor, CalibrationUpdate};
 use crate::camera::{Camera, Rig};
 use crate::error::Result;
+use crate::motion::RigPriorEstimator;
 use crate::odometry::Odometry;
 use crate::trajectory::FrameEstimate;
 use std::thread::{self, JoinHandle};
@@ -15,7 +16,7 @@ use std::thread::{self, JoinHandle};
 /// so that the trajectory does not depend on the speed of the machine.
 #[derive(Debug)]
 pub struct OnlineCalibration {
-    camera: Camera,
+    given: (Camera, Rig),
     rig: Rig,
     watch: CalibrationMonitor,
     solving: Option<Solving>,
@@ -38,7 +39,7 @@ impl OnlineCalibration {
     pub fn new(camera: &Camera, rig: &Rig, lens_is_known: bool) -> Self {
         let watch = CalibrationMonitor::new(camera, rig);
         let watch = if lens_is_known { watch.with_lens_known() } else { watch };
-        Self { camera: camera.clone(), rig: *rig, watch, solving: None, found: None }
+        Self { given: (camera.clone(), *rig), rig: *rig, watch, solving: None, found: None }
     }
 
     /// Takes the next frame, the result of [`Odometry::process`]. Returns whether the odometry was
@@ -59,11 +60,15 @@ impl OnlineCalibration {
         };
         // A solver that panicked has found nothing.
         let Some(found) = solving.result.join().ok().flatten() else { return Ok(false) };
-        self.camera = found.camera(&self.camera);
-        self.rig = found.rig(&self.rig);
-        let tilt = found.tilt.as_ref().map(|tilt| (&self.rig, tilt.covariance));
-        odometry.recalibrate(self.camera.clone(), tilt)?;
-        self.watch = self.watch.after(&self.camera, &self.rig, &found);
+        let (camera, rig) = &self.given;
+        self.rig = found.rig(rig);
+        let had_tilt = self.found().is_some_and(|found| found.tilt.is_some());
+        let covariance = match &found.tilt {
+            Some(tilt) => Some(tilt.covariance),
+            None => had_tilt.then(RigPriorEstimator::unknown_mount_tilt),
+        };
+        odometry.recalibrate(found.camera(camera), covariance.map(|covariance| (&self.rig, covariance)))?;
+        self.watch = self.watch.after(&found);
         self.found = Some(found);
         Ok(true)
     }
@@ -84,6 +89,6 @@ impl OnlineCalibration {
 
     /// The estimated calibration that is in use; `None` while the given one is.
     pub fn found(&self) -> Option<&CalibrationUpdate> {
-        self.found.as_ref()
+        self.found.as_ref().filter(|found| !found.is_nothing())
     }
 }

@@ -280,10 +280,25 @@ fn an_unknown_tilt_is_detected_early_and_refined_later() {
     let earlier = CalibrationUpdate { tilt: Some(poor.clone()), ..first.clone() };
     let taken = earlier.rig(&level);
     let (second, later) =
-        noticed(&simulation, taken, CalibrationMonitor::found(camera, &taken, &earlier)).unwrap();
+        noticed(&simulation, taken, CalibrationMonitor::with_estimate(camera, &level, &earlier)).unwrap();
     let tilt = second.tilt.unwrap();
     assert!(later > at && off(&tilt).norm() < 0.05f64.to_radians(), "{tilt:?}");
     assert!(second.pairs >= 2 * first.pairs && tilt.covariance.trace() < poor.covariance.trace());
+}
+
+#[test]
+fn an_estimate_that_more_of_the_drive_does_not_bear_out_is_withdrawn() {
+    let simulation = drive(RIG, Effects::default(), EIGHT);
+    let camera = &simulation.config().camera;
+    let (tilt, _) = measured(&simulation, RIG, 1);
+    let wrong = TiltMeasurement { roll_rad: RIG.roll_rad + 0.03, ..tilt };
+    let in_use = CalibrationUpdate { tilt: Some(wrong), pairs: 8, ..CalibrationUpdate::default() };
+    let (found, _) =
+        noticed(&simulation, in_use.rig(&RIG), CalibrationMonitor::with_estimate(camera, &RIG, &in_use))
+            .unwrap();
+    assert!(found.is_nothing() && found.pairs > in_use.pairs, "{found:?}");
+    // Applied to what was given, it is what was given.
+    assert_eq!(found.rig(&RIG), RIG);
 }
 
 /// What is found if the drive is rendered with one camera and tracked with another.
