@@ -241,6 +241,18 @@ pub fn rows() -> Vec<BenchmarkRow> {
             )
         },
         BenchmarkRow {
+            seeds: 1,
+            ..with(
+                "undulation-ride-bumper",
+                Effects {
+                    terrain: Terrain { undulation: Some(undulation), ride: true, ..Terrain::default() },
+                    bumper: Some(Bumper { share: 0.25 }),
+                    noise_gray: 4.0,
+                    ..noise()
+                },
+            )
+        },
+        BenchmarkRow {
             path: ahead,
             seeds: 1,
             ..small("ramp-ride", on(Terrain { ramp: Some(ramp), ride: true, ..Terrain::default() }))

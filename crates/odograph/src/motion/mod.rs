@@ -228,6 +228,8 @@ pub struct MotionEstimate {
     pub inliers: Buffer<bool>,
     /// Root mean square re-projection error of the inliers, pixels.
     pub residual_px: f64,
+    /// [`Observations::noise_px`].
+    pub noise_px: f64,
     /// Correlation of the residuals of neighbouring tracks.
     pub residual_correlation: ResidualCorrelation,
     /// Height and tilt from the tracks alone, without the prior; only where all three are unknowns

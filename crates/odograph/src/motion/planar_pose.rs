@@ -247,6 +247,7 @@ pub fn refine(
         keyframe_error,
         inliers,
         residual_px: (squares / count as f64).sqrt(),
+        noise_px: nuisance.observations.noise_px,
         residual_correlation: ResidualCorrelation::of(camera, observations, &free_errors, &weights),
         rig_evidence,
         elevations,

@@ -278,6 +278,7 @@ mod tests {
             keyframe_error: None,
             inliers: Buffer::of(true, inliers),
             residual_px: 0.1,
+            noise_px: f64::INFINITY,
             residual_correlation: Default::default(),
             rig_evidence: None,
             elevations: Buffer::new(),

@@ -41,6 +41,7 @@ pub(super) fn mean_motion(
         keyframe_error: None,
         inliers,
         residual_px: (2.0 * variance * count).sqrt() / metres_per_pixel,
+        noise_px: f64::INFINITY,
         residual_correlation: Default::default(),
         rig_evidence: None,
         elevations: Buffer::new(),
