@@ -297,8 +297,8 @@ fn remove_if_there(file: &Path) -> Result<()> {
 }
 
 /// Moves the results of a run from its folder to their place, `stats.json` last, and removes the
-/// folder. What an earlier run has left there is replaced or removed, but not the file of the camera
-/// of the run. A run without results leaves the place as it is.
+/// folder. What an earlier run has left there is replaced or removed, but not the file of the
+/// camera of the run. A run without results leaves the place as it is.
 pub(crate) fn move_results(from: &Path, place: &Path, camera: Option<&Path>) -> Result<()> {
     if !from.is_dir() {
         return Ok(());

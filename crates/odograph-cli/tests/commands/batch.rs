@@ -73,8 +73,8 @@ impl Place {
         lines.map(|cells| (cells[0].clone(), cells[column].clone())).collect()
     }
 
-    /// Checks that the good recordings have the bytes of their single runs, and that the damaged one
-    /// is in the table with the reason.
+    /// Checks that the good recordings have the bytes of their single runs, and that the damaged
+    /// one is in the table with the reason.
     fn check(&self) {
         for name in GOOD {
             for file in

@@ -27,7 +27,8 @@ pub fn of_path(path: &Path) -> io::Result<String> {
     Ok(of_bytes(list.as_bytes()))
 }
 
-/// Size of a file or of all files of a folder, bytes, and their last change, nanoseconds since 1970.
+/// Size of a file or of all files of a folder, bytes, and their last change, nanoseconds since
+/// 1970.
 pub fn size_and_change(path: &Path) -> io::Result<(u64, u64)> {
     let files = if path.is_dir() { files_in(path)? } else { vec![path.to_owned()] };
     let mut all = (0, 0);

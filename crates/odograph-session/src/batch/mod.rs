@@ -1,10 +1,10 @@
 //! Many recordings, processed by any number of workers on any number of machines that share a
 //! folder: each recording by one worker at a time, and not again once it is done.
 //!
-//! The results folder has a folder `.batch` with the [manifest](manifest), a file for each attempt at
-//! a recording, and a [lease](worker) of each worker. A recording is run in a folder of its own,
-//! `NAME.part-N`, whose files are moved to their place at the end: a worker that was believed dead and
-//! wakes up disturbs nobody.
+//! The results folder has a folder `.batch` with the [manifest](manifest), a file for each attempt
+//! at a recording, and a [lease](worker) of each worker. A recording is run in a folder of its own,
+//! `NAME.part-N`, whose files are moved to their place at the end: a worker that was believed dead
+//! and wakes up disturbs nobody.
 
 mod hash;
 mod inputs;
@@ -34,8 +34,8 @@ use worker::{Watch, Worker};
 /// What to do with recordings that were run before.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
 pub struct BatchOptions {
-    /// Whether what is done is skipped and what is not is finished; otherwise results that are there
-    /// are refused.
+    /// Whether what is done is skipped and what is not is finished; otherwise results that are
+    /// there are refused.
     pub resumes: bool,
     /// Whether all results may be overwritten.
     pub overwrites: bool,
@@ -198,8 +198,8 @@ impl Batch {
         ended.is_some_and(|ended| ended.is_none_or(|ended| ended.how.is_failure()))
     }
 
-    /// Writes what `files` makes of the results of these recordings and of all others in the folder:
-    /// names with bytes. Nothing that other workers add meanwhile is lost.
+    /// Writes what `files` makes of the results of these recordings and of all others in the
+    /// folder: names with bytes. Where workers end at once, the last files have the results of all.
     ///
     /// # Errors
     /// If the manifest cannot be read, or a file not be written.
@@ -211,13 +211,14 @@ impl Batch {
         let mut written = None;
         loop {
             let last = self.manifest.last()?;
-            if written.as_ref() == Some(&last) {
+            let is_seen = written.as_ref() == Some(&last);
+            // Whoever ends later writes later.
+            if is_seen || written.is_some() && last.values().any(|attempt| self.goes_on(attempt)) {
                 return Ok(());
             }
             for (name, bytes) in files(&results::of(recordings, &last)) {
                 manifest::replace(&self.results.join(name), &bytes)?;
             }
-            // The last one to write must have seen the last end.
             written = Some(last);
         }
     }

@@ -66,8 +66,8 @@ const COLUMNS: [&str; 7] =
 const FIRST: [&str; 5] = ["frames", "frames_with_pose", "duration_s", "distance_m", "losses"];
 
 /// The table as CSV (RFC 4180 with lines that end as on Unix): a line for each recording, with all
-/// figures of its `stats.json`. The name of a figure within another is joined by points. Of a list of
-/// objects the table has only their number.
+/// figures of its `stats.json`. The name of a figure within another is joined by points. Of a list
+/// of objects the table has only their number.
 pub fn csv(results: &[RecordingResult]) -> String {
     let figures: Vec<BTreeMap<String, String>> = results
         .iter()

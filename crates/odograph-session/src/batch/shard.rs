@@ -4,8 +4,8 @@ use super::hash;
 use odograph::error::{Error, Result};
 use std::str::FromStr;
 
-/// One of several parts of all recordings. A recording belongs to a part by the hash of its name, so
-/// that workers agree without knowing each other.
+/// One of several parts of all recordings. A recording belongs to a part by the hash of its name,
+/// so that workers agree without knowing each other.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub struct Shard {
     /// From 0 to one below `of`.

@@ -1,6 +1,6 @@
 //! Several recordings in one call: each has a folder of its own and the same result as alone; as
-//! many run concurrently as there are cores. Several such calls, on any number of machines, may share
-//! a results folder.
+//! many run concurrently as there are cores. Several such calls, on any number of machines, may
+//! share a results folder.
 
 mod ending;
 mod work;
