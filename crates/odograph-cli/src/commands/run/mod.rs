@@ -93,7 +93,7 @@ pub struct RunArguments {
     /// folder frames/; with a number where that is there already]
     #[arg(help_heading = "Results", short = 'o', long = "output", value_name = "FOLDER")]
     pub folder: Option<PathBuf>,
-    /// Run again what was killed in FOLDER; or, after all else, the recordings that are not done.
+    /// Run again what was killed in FOLDER; without FOLDER, the recordings that are not done.
     ///
     /// With FOLDER: that run from its first frame to its end, with the options that it was begun
     /// with. A run gives the same bytes each time, so nothing is lost but the time. What a killed
