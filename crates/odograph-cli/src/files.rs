@@ -32,6 +32,11 @@ impl MadeFolders {
         Ok(made)
     }
 
+    /// Whether any was made.
+    pub fn is_any(&self) -> bool {
+        !self.0.is_empty()
+    }
+
     /// The folder that a file is to be written into, made where it is missing.
     pub fn of_file(path: &Path) -> Result<Self> {
         Self::new(path.parent().unwrap_or(Path::new("")))

@@ -26,10 +26,12 @@ mod parts;
 mod photograph;
 mod plot;
 mod raster;
+mod recordings;
 
 pub use figures::{LostStretch, lost_stretches};
 pub use page::html;
 pub use raster::{MAP_WIDTH_PX, drawing_png, gray_picture};
+pub use recordings::recordings_html;
 
 use odograph::error::Result;
 use odograph_session::{ReportInput, RunReporter};

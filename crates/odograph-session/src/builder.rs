@@ -259,6 +259,14 @@ impl RunBuilder {
         self.output.map.path()
     }
 
+    /// The camera file, if the camera is from one.
+    pub(crate) fn camera_path(&self) -> Option<&Path> {
+        match &self.camera {
+            Some(CameraChoice::File(path)) => Some(path),
+            _ => None,
+        }
+    }
+
     /// Name of the robot, where it has one.
     pub fn robot_name(&self) -> Option<&str> {
         self.output.robot.as_deref()

@@ -186,13 +186,7 @@ impl OutputFolder {
 
     /// Removes a file of an earlier run that this run does not write.
     pub fn remove(&mut self, name: &str) -> Result<()> {
-        let path = self.path.join(name);
-        match fs::remove_file(&path) {
-            Err(error) if error.kind() != std::io::ErrorKind::NotFound => {
-                Err(Error::output(format!("{} cannot be removed: {error}", path.display())).caused_by(error))
-            }
-            _ => Ok(()),
-        }
+        remove_if_there(&self.path.join(name))
     }
 
     /// Whether a file of an earlier run has these bytes.
@@ -293,8 +287,44 @@ impl OutputFolder {
     }
 }
 
+fn remove_if_there(file: &Path) -> Result<()> {
+    match fs::remove_file(file) {
+        Err(error) if error.kind() != std::io::ErrorKind::NotFound => {
+            Err(Error::output(format!("{} cannot be removed: {error}", file.display())).caused_by(error))
+        }
+        _ => Ok(()),
+    }
+}
+
+/// Moves the results of a run from its folder to their place, `stats.json` last, and removes the
+/// folder. What an earlier run has left there is replaced or removed, but not the file of the
+/// camera of the run. A run without results leaves the place as it is.
+pub(crate) fn move_results(from: &Path, place: &Path, camera: Option<&Path>) -> Result<()> {
+    if !from.is_dir() {
+        return Ok(());
+    }
+    files::make_folder(place)?;
+    let is_camera = |file: &Path| {
+        let same =
+            |camera| matches!((fs::canonicalize(camera), fs::canonicalize(file)), (Ok(a), Ok(b)) if a == b);
+        camera.is_some_and(same)
+    };
+    // Until it is there again, the place is that of a run that is not complete.
+    remove_if_there(&place.join("stats.json"))?;
+    for name in RUN_FILES {
+        let (new, old) = (from.join(name), place.join(name));
+        match new.exists() {
+            true => fs::rename(&new, &old).map_err(|error| Error::not_written(old.display(), error))?,
+            false if is_camera(&old) => {}
+            false => remove_if_there(&old)?,
+        }
+    }
+    let _ = fs::remove_dir_all(from);
+    Ok(())
+}
+
 /// Refuses a folder with results, unless they may be replaced.
-fn check_free(folder: &Path, force: bool) -> Result<()> {
+pub(crate) fn check_free(folder: &Path, force: bool) -> Result<()> {
     if force {
         return Ok(());
     }

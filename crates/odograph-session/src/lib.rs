@@ -37,6 +37,7 @@
 //! | run again exactly | [`RunBuilder::repeating`] with the folder's `run.toml` |
 //! | follow a camera as it moves | the feature `live`, then `RunBuilder::open_live` |
 //! | know what will limit the accuracy, before a run | [`RunBuilder::examine`] |
+//! | run many recordings, on many machines | [`batch::Batch`]
 //! | have `report.html` and `map.png` | [`RunBuilder::reporter`] with `odograph-report` |
 //!
 //! The modules are listed in the order of their dependencies: a module imports only modules listed
@@ -88,6 +89,7 @@ mod pipeline;
 mod passes;
 mod finish;
 mod run;
+pub mod batch;
 mod doctor;
 #[cfg(feature = "live")]
 pub mod live;

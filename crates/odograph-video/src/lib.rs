@@ -51,8 +51,8 @@ mod source;
 mod inspection;
 
 pub use bag::{
-    LiveMessage, LiveTopic, LiveTransforms, RecordedMount, is_robot_recording, recorded_camera,
-    recorded_fixes, recorded_mount, recorded_sensor,
+    LiveMessage, LiveTopic, LiveTransforms, RecordedMount, is_recording_folder, is_robot_recording,
+    recorded_camera, recorded_fixes, recorded_mount, recorded_sensor,
 };
 pub use bayer::BayerPattern;
 #[cfg(fuzzing)]

@@ -174,6 +174,8 @@ fn write_inputs(folder: &Path) {
     ] {
         fs::copy(simulated.join(from), folder.join(to)).unwrap();
     }
+    fs::create_dir(folder.join("recordings")).unwrap();
+    fs::copy(simulated.join("sim.avi"), folder.join("recordings/monday.avi")).unwrap();
     fs::remove_dir_all(simulated).unwrap();
     let camera = camera_file::parse(&fs::read_to_string(folder.join("camera.yaml")).unwrap(), None).unwrap();
     let scene = boards::scene_of("chessboard:9x6:25mm", &camera);

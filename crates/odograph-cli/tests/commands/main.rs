@@ -5,6 +5,7 @@
 #![allow(clippy::unwrap_used, clippy::print_stdout)]
 
 mod bags;
+mod batch;
 mod board;
 mod calibrate;
 mod camera;

@@ -63,6 +63,11 @@ fn is_recording_file(path: &Path) -> Result<bool> {
     })
 }
 
+/// Whether a folder is one robot recording, and not a folder of several.
+pub fn is_recording_folder(folder: impl AsRef<Path>) -> bool {
+    matches!(folder::files(folder.as_ref()), Ok(Some(_)))
+}
+
 /// Whether a file or folder is a robot recording.
 pub fn is_robot_recording(path: impl AsRef<Path>) -> bool {
     let path = path.as_ref();

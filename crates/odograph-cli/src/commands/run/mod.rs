@@ -15,6 +15,7 @@ pub use mounted_camera::{
 };
 use odograph::error::{Error, Result};
 use odograph_report::HtmlReporter;
+use odograph_session::batch::Shard;
 use odograph_session::{MapUse, RunBuilder, RunEnd, SourcePlan};
 pub use sensors::SensorArguments;
 use std::path::{Path, PathBuf};
@@ -92,13 +93,26 @@ pub struct RunArguments {
     /// folder frames/; with a number where that is there already]
     #[arg(help_heading = "Results", short = 'o', long = "output", value_name = "FOLDER")]
     pub folder: Option<PathBuf>,
-    /// Run again what was killed in this folder, from its first frame to its end.
+    /// Run again what was killed in FOLDER; without FOLDER, the recordings that are not done.
     ///
-    /// With the options that it was begun with, in the same folder: a run gives the same bytes each
-    /// time, so nothing is lost but the time. What a killed run has added to a map of --map is
-    /// replaced.
-    #[arg(help_heading = "Results", long, value_name = "FOLDER", conflicts_with_all = ["source", "more", "folder"])]
-    pub resume: Option<PathBuf>,
+    /// With FOLDER: that run from its first frame to its end, with the options that it was begun
+    /// with. A run gives the same bytes each time, so nothing is lost but the time. What a killed
+    /// run has added to a map of --map is replaced. Without: all recordings in SOURCE and its
+    /// folders are run, each into a folder of its own in -o; those that were run with the same
+    /// options are skipped.
+    #[arg(help_heading = "Results", long, value_name = "FOLDER", num_args = 0..=1)]
+    pub resume: Option<Option<PathBuf>>,
+    /// Run only this part of the recordings: 0/64, 1/64, … or 63/64.
+    ///
+    /// All recordings in SOURCE and its folders are counted, and each has a folder of its own in
+    /// -o, which all parts share.
+    #[arg(help_heading = "Results", long, value_name = "I/N")]
+    pub shard: Option<Shard>,
+    /// Begin a recording again this often that failed, or whose worker was killed.
+    ///
+    /// [default: 1 with --resume or --shard, otherwise 0]
+    #[arg(help_heading = "Results", long, value_name = "N")]
+    pub retries: Option<u32>,
     /// How progress is shown on standard error.
     ///
     /// A line of JSON every 30 frames: {"frames":30,"lost":0,"of":1083}. `of` is null where the
@@ -154,6 +168,7 @@ Examples:
   odograph run --resume drive/
   odograph run monday.mp4 --camera camera.yaml --height 1.20 --map hall.gpkg -o monday/
   odograph run monday.mp4 tuesday.mp4 --camera camera.yaml --height 1.20 -o week/
+  odograph run recordings/ --camera camera.yaml --height 1.20 -o results/ --shard 3/64 --resume
   odograph run drive.mp4 --camera camera.yaml --height 1.20 --site http://hall:8137/ --robot cart-2
 
 Ends with 0 when done, 2 on wrong usage, 3 on bad input, 4 when the movement could not be measured in most of the \
@@ -165,9 +180,24 @@ impl RunArguments {
         self.source.as_deref().unwrap_or_default()
     }
 
+    /// Whether other calls may share the results folder.
+    fn is_shared(&self) -> bool {
+        self.shard.is_some() || self.resume == Some(None)
+    }
+
     /// The killed run in a folder, from its first frame.
     fn resumed(&self, folder: &Path) -> Result<RunBuilder> {
+        if let Some(source) = &self.source {
+            return Err(Error::usage(format!(
+                "--resume {} runs again what was begun there, without {source}; to finish several recordings, give \
+                 --resume after them",
+                folder.display()
+            )));
+        }
         let given = [
+            ("-o", self.folder.is_some()),
+            ("--shard", self.shard.is_some()),
+            ("--retries", self.retries.is_some()),
             ("--map", self.output.map.is_some()),
             ("--bag-out", self.bag_out.is_some()),
             ("--force", self.output.force),
@@ -279,7 +309,7 @@ impl RunArguments {
 
 /// Runs the command.
 pub fn run(arguments: RunArguments) -> Result<Outcome> {
-    if let Some(folder) = &arguments.resume {
+    if let Some(Some(folder)) = &arguments.resume {
         let builder = arguments.resumed(folder)?;
         let print_begin = || {
             if !arguments.output.quiet {
@@ -288,6 +318,11 @@ pub fn run(arguments: RunArguments) -> Result<Outcome> {
         };
         let site = arguments.site.of_resumed(builder.robot_name(), folder)?;
         return follow(&builder, &RunArguments { site, ..arguments.clone() }, folder, &print_begin);
+    }
+    if arguments.source.is_none() {
+        return Err(Error::usage(
+            "--resume needs the folder of a run that was killed, or recordings before it and -o FOLDER",
+        ));
     }
     arguments.site.check()?;
     let arguments = match arguments.source().ends_with(".toml") {
