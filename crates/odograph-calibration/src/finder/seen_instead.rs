@@ -125,13 +125,14 @@ fn chessboards(expected: &Board, images: &[GrayImage]) -> Vec<Board> {
 /// Circle grids with the number of discs that are seen, of every shape.
 fn discs(expected: &Board, images: &[GrayImage]) -> Vec<Board> {
     let spacing_m = stated_m(expected);
-    // Larger grids are reported with their number of discs.
-    let Ok(looked_for) = Board::new(BoardKind::Circles, 2, 2, spacing_m) else { return vec![] };
+    // A grid that hardly occurs by chance; others are reported with their number of discs.
+    let Ok(looked_for) = Board::new(BoardKind::Circles, 9, 2, spacing_m) else { return vec![] };
     let mut numbers: Vec<usize> = Vec::new();
     for image in images {
         let number = match circles::find(image, &looked_for) {
+            Ok(view) => view.points.len(),
             Err(NotFound::OtherDiscs { seen, .. }) => seen,
-            _ => continue,
+            Err(_) => continue,
         };
         if !numbers.contains(&number) {
             numbers.push(number);
