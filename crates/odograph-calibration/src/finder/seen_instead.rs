@@ -171,7 +171,7 @@ fn with_markers(expected: &Board, images: &[GrayImage]) -> Vec<Board> {
                     let board = guess(length, columns, agreeing.iter().copied().max()?)?;
                     Some((agreeing.len(), board))
                 });
-                // The length is a small difference: the usual one, unless another fits clearly better.
+                // The usual length, unless another fits clearly better.
                 let found = guesses.reduce(|a, b| if b.0 > a.0 { b } else { a });
                 let to_beat = best.map_or(0, |(agreeing, _)| agreeing + agreeing / 10);
                 best = found.filter(|(agreeing, _)| *agreeing > to_beat).or(best);

@@ -325,7 +325,7 @@ const EXAMPLES: &str = "\
 Examples:
   odograph simulate --path eight --texture carpet -o sim
   odograph simulate --board chessboard:9x6:25mm -o board
-  odograph simulate --board charuco:8x11:20mm --format png --fps 1 -o board  # a picture of each place";
+  odograph simulate --board charuco:8x11:20mm --format png --fps 1 -o board";
 
 /// The shapes of paths by name.
 #[derive(ValueEnum, Debug, Clone, Copy, PartialEq, Eq, Serialize)]

@@ -86,8 +86,8 @@ impl McapLog {
         self.queue.close();
     }
 
-    /// Writes all input, then finishes the file and gives it its name. On a full disk it stops, what
-    /// there is keeps the name of a growing file, and tracking continues.
+    /// Writes all input, then finishes the file and gives it its name. On a full disk it stops,
+    /// what there is keeps the name of a growing file, and tracking continues.
     pub fn write_all(&self) {
         let Some(mut file) = self.file.lock().unwrap_or_else(PoisonError::into_inner).take() else { return };
         loop {
