@@ -17,8 +17,8 @@ const DOUBTFUL_HEIGHT_M: f64 = 10.0;
 /// Above this such a number is probably in millimetres, below it in centimetres.
 const MILLIMETRES_FROM: f64 = 300.0;
 
-/// The error that a camera is not calibrated for the frames of a recording, and what to do; sizes are
-/// width and height, pixels.
+/// The error that a camera is not calibrated for the frames of a recording, and what to do; sizes
+/// are width and height, pixels.
 pub fn other_size(recording: impl Display, frames: (usize, usize), calibrated: (usize, usize)) -> Error {
     Error::input(format!(
         "the frames of {recording} are {}x{} but the camera is calibrated for {}x{}; {}",

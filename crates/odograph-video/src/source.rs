@@ -364,8 +364,8 @@ impl Source {
     }
 }
 
-/// Fails if there are fewer times than frames, or more by two and more, so that it is not known which
-/// frame a time belongs to. Some loggers write a last time for a frame that is not recorded.
+/// Fails if there are fewer times than frames, or more by two and more, so that it is not known
+/// which frame a time belongs to. Some loggers write a last time for a frame that is not recorded.
 fn check_number_of_times(times: &[f64], file: &Path, frames: Option<(u64, u64)>) -> Result<()> {
     let Some((least, greatest)) = frames else { return Ok(()) };
     let count = times.len() as u64;

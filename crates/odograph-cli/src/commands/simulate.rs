@@ -17,7 +17,7 @@ use odograph_calibration::Board;
 use serde::Serialize;
 use std::path::PathBuf;
 
-/// Render a recording over a floor, or of a board, with exact ground truth
+/// Render a recording over a floor, or of a board, with exact truth
 ///
 /// Writes the frames, the truth, the camera file and the rig file.
 ///

@@ -16,8 +16,8 @@ use std::io::{BufReader, Read, Seek, SeekFrom};
 /// Most parts of an edit list: each is compared with each frame. Cameras write two.
 const MAX_EDITS: usize = 256;
 
-/// Pictures of H.265 that may be skipped because they refer to pictures before the start (H.265, A.4:
-/// at most 16 are held back for reordering).
+/// Pictures of H.265 that may be skipped because they refer to pictures before the start (H.265,
+/// A.4: at most 16 are held back for reordering).
 const MAX_LEADING_PICTURES: u64 = 16;
 
 /// Reads the samples of the first video track of an MP4 or QuickTime file.
