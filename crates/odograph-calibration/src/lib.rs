@@ -27,7 +27,7 @@ pub use drawing::{Drawing, Rectangle, Shape};
 pub use extrinsics::{
     BoardDirection, BoardMounting, FloorBoard, MountingView, ambiguity_turns, rig_from_boards,
 };
-pub use finder::{BoardFinder, MarkerFinder, NotFound, SeenMarker, nothing_found};
+pub use finder::{BoardFinder, MarkerFinder, NotFound, SeenInstead, SeenMarker, nothing_found, seen_instead};
 pub use marker_family::MarkerFamily;
 pub use solver::{
     BendEvidence, BoardPose, BoardShape, CalibratedView, Calibration, CalibrationConfig, LensModel,

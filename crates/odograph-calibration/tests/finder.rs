@@ -5,7 +5,7 @@
 use nalgebra::{Isometry3, UnitQuaternion, Vector3};
 use odograph::camera::{Camera, Distortion};
 use odograph::image::GrayImage;
-use odograph_calibration::{Board, BoardFinder, BoardView, NotFound};
+use odograph_calibration::{Board, BoardFinder, BoardView, NotFound, seen_instead};
 use odograph_simulation::{BoardEffects, BoardScene, Framing, Occlusion};
 
 fn camera(size: (usize, usize), distortion: &[f64]) -> Camera {
@@ -157,4 +157,46 @@ fn first_corner_is_next_to_the_black_corner_square() {
         let found = finder.find(&scene.render(&pose, &BoardEffects::camera_like(2.0, 1))).unwrap();
         assert!(error_px(&found, &scene.true_view(&pose)) < 0.05, "turn {turn}");
     }
+}
+
+/// Images of a board from a few places.
+fn shown(text: &str, count: usize) -> Vec<GrayImage> {
+    let board: Board = text.parse().unwrap();
+    let scene = BoardScene::new(&board, &camera((640, 480), &[-0.2, 0.05, 0.0, 0.0]), 3);
+    let poses = scene.poses(count, Framing::Whole, 5);
+    poses.iter().map(|pose| scene.render(pose, &BoardEffects::camera_like(2.0, 1))).collect()
+}
+
+#[test]
+fn another_board_is_recognised_by_kind_count_and_dictionary() {
+    for (expected, shows) in [
+        ("chessboard:9x6:25mm", "chessboard:8x6:25mm"),
+        ("chessboard:9x6:25mm", "charuco:8x11:25mm"),
+        ("charuco:8x11:20mm", "chessboard:10x7:20mm"),
+        ("charuco:8x11:20mm", "charuco:7x5:20mm:15mm:5x5_50"),
+        ("charuco:7x5:20mm", "charuco:5x7:20mm:12mm:4x4_50"),
+        ("aprilgrid:6x6:88mm", "charuco:6x8:88mm:66mm:apriltag_36h11"),
+        ("charuco:6x8:25mm:18mm:6x6_250", "aprilgrid:4x3:25mm"),
+        ("aprilgrid:6x6:88mm", "aprilgrid:4x3:88mm"),
+        ("chessboard:9x6:20mm", "circles:7x5:20mm"),
+        ("circles:7x5:20mm", "asymmetric-circles:4x11:20mm"),
+        ("asymmetric-circles:4x11:20mm", "chessboard:7x5:20mm"),
+    ] {
+        let (expected, shows): (Board, Board) = (expected.parse().unwrap(), shows.parse().unwrap());
+        let images = shown(&shows.to_string(), 4);
+        let seen = seen_instead(&expected, &images).unwrap_or_else(|| panic!("{expected} for {shows}"));
+        assert_eq!(seen.board.to_string(), shows.to_string(), "for {expected}");
+        assert!(seen.images >= 3 && seen.of == 4, "{shows}: {seen}");
+    }
+}
+
+#[test]
+fn images_without_a_board_show_no_other_board() {
+    let expected: Board = "chessboard:9x6:25mm".parse().unwrap();
+    assert_eq!(seen_instead(&expected, &[GrayImage::new(320, 240)]), None);
+    assert_eq!(seen_instead(&expected, &[]), None);
+    // The board itself is no other board, nor is its upper part.
+    assert_eq!(seen_instead(&expected, &shown("chessboard:9x6:25mm", 2)), None);
+    let larger: Board = "charuco:6x9:25mm:18.75mm:4x4_100".parse().unwrap();
+    assert_eq!(seen_instead(&larger, &shown("charuco:6x5:25mm", 2)), None);
 }

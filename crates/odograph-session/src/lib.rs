@@ -109,7 +109,7 @@ pub use plan::{FrameChoice, MarkerPlan, RunPlan, SourcePlan, check_recording, op
 pub use reference::ComparedReference;
 pub use report::{ReportInput, ReportMark, ReportMosaic, RunReporter};
 pub use resemblance::{AlikePlace, Resemblance, ResemblanceVerdict};
-pub use rig::{doubtful_unit, parse_camera, read_rig, rig_of_mount};
+pub use rig::{doubtful_unit, other_size, parse_camera, read_rig, rig_of_mount};
 pub use run::Run;
 pub use sensors::SensorFiles;
 pub use statistics::{BudgetStatistics, LiveStatistics, LoopStatistics, RunStatistics, SensorStatistics};

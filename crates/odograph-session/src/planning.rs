@@ -4,7 +4,7 @@ use crate::builder::{CameraChoice, MountChoice, RunBuilder};
 use crate::markers::MarkerWatch;
 use crate::observer::Observer;
 use crate::plan::{FrameChoice, RunPlan, SourcePlan};
-use crate::rig::{parse_camera, read_rig, recorded_rig};
+use crate::rig::{other_size, parse_camera, read_rig, recorded_rig};
 use crate::{budget, files};
 use odograph::camera::{Camera, LeverArm, Rig};
 use odograph::error::{Error, Result};
@@ -78,19 +78,19 @@ impl RunBuilder {
         if (camera.width(), camera.height()) == size {
             return Ok(());
         }
-        let (frames, calibrated) =
-            (format!("{}x{}", size.0, size.1), format!("{}x{}", camera.width(), camera.height()));
         let path = &self.source.path;
-        Err(Error::input(if matches!(self.camera, Some(CameraChoice::OfMap)) {
-            format!(
-                "the frames of {path} are {frames} but the map was made with a camera of {calibrated}; only pictures of that camera can \
-                 be found in it"
-            )
+        Err(if matches!(self.camera, Some(CameraChoice::OfMap)) {
+            Error::input(format!(
+                "the frames of {path} are {}x{} but the map was made with a camera of {}x{}; only pictures of that camera can \
+                 be found in it",
+                size.0,
+                size.1,
+                camera.width(),
+                camera.height()
+            ))
         } else {
-            format!(
-                "the frames of {path} are {frames} but the camera is calibrated for {calibrated}; calibrate at the recording's size"
-            )
-        }))
+            other_size(path, size, (camera.width(), camera.height()))
+        })
     }
 
     /// The antenna of the satellite receiver, where the rig file has it.

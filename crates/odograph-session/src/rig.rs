@@ -7,6 +7,7 @@ use odograph::camera::{Camera, LeverArm, Rig};
 use odograph::error::{Error, Result};
 use odograph::formats::{camera_file, rig_file};
 use odograph_video::RecordedMount;
+use std::fmt::Display;
 use std::path::Path;
 
 /// Cameras on vehicles are lower: above this a height without a unit is probably in another unit
@@ -15,6 +16,30 @@ const DOUBTFUL_HEIGHT_M: f64 = 10.0;
 
 /// Above this such a number is probably in millimetres, below it in centimetres.
 const MILLIMETRES_FROM: f64 = 300.0;
+
+/// The error that a camera is not calibrated for the frames of a recording, and what to do; sizes
+/// are width and height, pixels.
+pub fn other_size(recording: impl Display, frames: (usize, usize), calibrated: (usize, usize)) -> Error {
+    Error::input(format!(
+        "the frames of {recording} are {}x{} but the camera is calibrated for {}x{}; {}",
+        frames.0,
+        frames.1,
+        calibrated.0,
+        calibrated.1,
+        advice_for_other_size(frames, calibrated)
+    ))
+}
+
+/// What to do where a camera is calibrated for frames of another size. Telephones turn a video
+/// that is taken upright.
+pub(crate) fn advice_for_other_size(frames: (usize, usize), calibrated: (usize, usize)) -> &'static str {
+    if frames == (calibrated.1, calibrated.0) {
+        "the recording is turned by 90° against the calibration: hold the camera as it was held there, or \
+         calibrate with a video that is turned like this one"
+    } else {
+        "calibrate at the recording's size"
+    }
+}
 
 /// The unit in which a height was probably meant that was given as a bare number, short and in
 /// full; `None` where metres are plausible.

@@ -36,7 +36,7 @@ mod texture;
 /// The library whose cameras, poses and images this crate takes and returns.
 pub use odograph;
 
-pub use board_scene::{BoardEffects, BoardScene, Framing, Occlusion};
+pub use board_scene::{BoardEffects, BoardRecording, BoardScene, Framing, Occlusion};
 pub use effects::{
     Blackout, Breathing, Effects, ExposureJumps, Lighting, MovingObject, Shadow, SlowVariation, Timing,
     Vibration,

@@ -129,6 +129,7 @@ fn open_with(program: Option<PathBuf>, path: &Path, content: Content<'_>, color:
                 return Ok(Opened {
                     frames: Box::new(process),
                     frame_count,
+                    frames_within: None,
                     description,
                     times_known: !matches!(content, Content::JpegStream),
                     timestamps_used: false,

@@ -31,6 +31,9 @@ pub(crate) trait Frames: Send {
 pub(crate) struct Opened {
     pub frames: Box<dyn Frames>,
     pub frame_count: Option<u64>,
+    /// The least and the greatest number of frames; `None` if the source does not state it reliably
+    /// or is cut off.
+    pub frames_within: Option<(u64, u64)>,
     pub description: String,
     pub times_known: bool,
     /// Whether the times are those of [`crate::SourceOptions::timestamps`].

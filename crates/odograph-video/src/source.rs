@@ -180,7 +180,13 @@ impl Source {
         let mut warnings = Vec::new();
         let clock = match (&options.timestamps, options.fps) {
             (Some(_), _) if opened.timestamps_used => Clock::Container,
-            (Some(file), _) => Clock::List(Timestamps::read(file)?.into_times()),
+            (Some(file), _) => {
+                let times = Timestamps::read(file)?.into_times();
+                // A part of the recording may need fewer times than the whole.
+                let is_whole = options.end_s.is_none() && options.max_frames.is_none();
+                check_number_of_times(&times, file, opened.frames_within.filter(|_| is_whole))?;
+                Clock::List(times)
+            }
             (None, Some(fps)) => Clock::Rate(fps),
             (None, None) if opened.times_known => Clock::Container,
             (None, None) => Clock::Rate(opened.frames_per_second.unwrap_or_else(|| {
@@ -294,6 +300,20 @@ impl Source {
         Ok(None)
     }
 
+    /// Warns at the last frame of a recording whose number of frames was not known before.
+    fn warn_of_times_left(&mut self) {
+        let Clock::List(times) = &self.clock else { return };
+        if !self.ended && times.len() as u64 > self.next_number + 1 {
+            let file = self.options.timestamps.as_deref().unwrap_or(Path::new("the file of timestamps"));
+            self.warnings.push(format!(
+                "{} has {} times, but there were {} frames; the times may belong to other frames",
+                file.display(),
+                times.len(),
+                self.next_number
+            ));
+        }
+    }
+
     /// Advances to the next frame that the options select: its number, its time in seconds, and its
     /// picture where that is decoded already.
     fn advance_to_wanted(&mut self) -> Result<Option<(u64, f64, Option<Picture>)>> {
@@ -302,7 +322,10 @@ impl Source {
                 Some((time_s, picture)) => (time_s, Some(picture)),
                 None => match self.frames.advance()? {
                     Some(time_s) => (time_s, None),
-                    None => return Ok(None),
+                    None => {
+                        self.warn_of_times_left();
+                        return Ok(None);
+                    }
                 },
             };
             let number = self.next_number;
@@ -339,6 +362,20 @@ impl Source {
         }
         Ok(None)
     }
+}
+
+/// Fails if there are fewer times than frames, or more by two and more, so that it is not known
+/// which frame a time belongs to. Some loggers write a last time for a frame that is not recorded.
+fn check_number_of_times(times: &[f64], file: &Path, frames: Option<(u64, u64)>) -> Result<()> {
+    let Some((least, greatest)) = frames else { return Ok(()) };
+    let count = times.len() as u64;
+    if (least..=greatest + 1).contains(&count) {
+        return Ok(());
+    }
+    Err(Error::input(format!(
+        "{} has {count} times, but there are {greatest} frames; give a time for each frame",
+        file.display()
+    )))
 }
 
 /// The first frame that can be decoded with its time, and the number of frames before it.
@@ -393,6 +430,7 @@ mod tests {
         let opened = Opened {
             frames: Box::new(TimedFrames(vec![0.0, 0.5, 0.5, 1.0, 1.5].into_iter())),
             frame_count: Some(5),
+            frames_within: None,
             description: "times".into(),
             times_known: true,
             timestamps_used: false,
@@ -413,6 +451,7 @@ mod tests {
         let opened = Opened {
             frames: Box::new(TimedFrames(vec![-1.0, 0.0, 0.0, f64::NAN, -0.5, 2.0].into_iter())),
             frame_count: Some(6),
+            frames_within: None,
             description: "times".into(),
             times_known: true,
             timestamps_used: false,

@@ -70,6 +70,7 @@ pub(crate) fn open(path: Option<&Path>, reader: Box<dyn PacketReader>, color: bo
     }
     Ok(Opened {
         frame_count: video.track.frame_count,
+        frames_within: video.track.frames_within,
         description: format!("{} in {}", video.decoder.description(), video.track.container),
         timestamps_used: false,
         times_known: video.track.times != Times::Unknown,

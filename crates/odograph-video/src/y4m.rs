@@ -118,8 +118,12 @@ pub(crate) fn open<R: BufRead + Send + 'static>(
         ended: false,
     };
     let frame_bytes = y4m.frame_bytes() + 6;
+    let bytes_of_frames = byte_length.map(|length| length.saturating_sub(header.len() as u64 + 1));
     Ok(Opened {
-        frame_count: byte_length.map(|l| (l.saturating_sub(header.len() as u64 + 1)).div_ceil(frame_bytes)),
+        frame_count: bytes_of_frames.map(|bytes| bytes.div_ceil(frame_bytes)),
+        frames_within: bytes_of_frames
+            .filter(|bytes| bytes.is_multiple_of(frame_bytes))
+            .map(|bytes| (bytes / frame_bytes, bytes / frame_bytes)),
         description: format!("Y4M ({tag_of_layout})"),
         times_known: false,
         timestamps_used: false,

@@ -176,6 +176,46 @@ fn a_rate_or_timestamps_file_overrides_the_container() {
 }
 
 #[test]
+fn a_wrong_number_of_times_is_noticed_at_the_beginning() {
+    let file = tempfile::NamedTempFile::new().unwrap();
+    let options = SourceOptions { timestamps: Some(file.path().to_path_buf()), ..SourceOptions::default() };
+    let with_times = |name: &str, count: u32, options: &SourceOptions| {
+        let listed: String = (0..count).map(|n| format!("{n}\n")).collect();
+        std::fs::write(&file, listed).unwrap();
+        open(path(name), options)
+    };
+    // Both have 12 frames.
+    for name in ["h264_bframes.mp4", "h264_fragmented.mp4"] {
+        for count in [5, 11, 14] {
+            let said = format!(
+                "{} has {count} times, but there are 12 frames; give a time for each frame",
+                file.path().display()
+            );
+            let error = with_times(name, count, &options).unwrap_err();
+            assert!(error.to_string().ends_with(&said), "{name}, {count}: {error}");
+        }
+        for count in [12, 13] {
+            assert_eq!(all(&mut with_times(name, count, &options).unwrap()).len(), 12, "{name}, {count}");
+        }
+        // The first frames need no more times than they are.
+        let first = SourceOptions { max_frames: Some(3), ..options.clone() };
+        assert_eq!(all(&mut with_times(name, 5, &first).unwrap()).len(), 3);
+        let first = SourceOptions { end_s: Some(2.5), ..options.clone() };
+        assert_eq!(all(&mut with_times(name, 5, &first).unwrap()).len(), 3);
+    }
+    // Matroska does not state its number of frames: 9.
+    let mut source = with_times("vfr.mkv", 12, &options).unwrap();
+    assert_eq!(all(&mut source).len(), 9);
+    let warnings = source.take_warnings();
+    assert!(
+        warnings.len() == 1 && warnings[0].contains("has 12 times, but there were 9 frames"),
+        "{warnings:?}"
+    );
+    assert!(with_times("hevc.mp4", 12, &options).is_ok());
+    assert!(with_times("hevc.mp4", 14, &options).is_err());
+}
+
+#[test]
 fn invalid_options_are_rejected() {
     let wrong = [
         SourceOptions { every: 0, ..SourceOptions::default() },

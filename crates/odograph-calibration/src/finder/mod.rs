@@ -14,12 +14,14 @@ mod plane_map;
 mod points;
 mod response;
 pub(crate) mod ring;
+mod seen_instead;
 mod single;
 pub(crate) mod subpixel;
 mod tagged;
 #[cfg(test)]
 mod tests;
 
+pub use seen_instead::{SeenInstead, seen_instead};
 pub use single::{MarkerFinder, SeenMarker};
 
 use super::{Board, BoardKind, BoardView};
@@ -151,12 +153,14 @@ impl BoardFinder {
 }
 
 /// The error that a board was found nowhere, and what to do: of so many frames or `pictures` that
-/// were looked at, with the most frequent reason and its count.
+/// were looked at, with the most frequent reason and its count, and the board that they show
+/// `instead`.
 pub fn nothing_found(
     board: &Board,
     looked_at: u64,
     pictures: bool,
     mostly: Option<(&dyn fmt::Display, u64)>,
+    instead: Option<&SeenInstead>,
 ) -> Error {
     let of = match looked_at {
         0 => return Error::input("it has no frame in the chosen range"),
@@ -167,6 +171,11 @@ pub fn nothing_found(
     let why = mostly.map_or_else(String::new, |(reason, count)| {
         if count == looked_at { format!(" ({reason})") } else { format!(" (mostly: {reason})") }
     });
+    if let Some(instead) = instead {
+        return Error::input(format!(
+            "the board {board} was not found in {of}{why}; {instead}: state that board, with the lengths of your print"
+        ));
+    }
     let check = match board.kind() {
         BoardKind::Chessboard => {
             "count its inner corners, one less than squares, and keep the whole board in the image"

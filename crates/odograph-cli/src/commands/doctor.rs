@@ -28,7 +28,13 @@ pub struct DoctorArguments {
     #[arg(help_heading = "Recording", long, value_name = "FILE")]
     timestamps: Option<PathBuf>,
     /// Frames a second, where the source does not say.
-    #[arg(help_heading = "Recording", long, value_name = "RATE", allow_negative_numbers = true)]
+    #[arg(
+        help_heading = "Recording",
+        long,
+        value_name = "RATE",
+        allow_negative_numbers = true,
+        conflicts_with = "timestamps"
+    )]
     fps: Option<f64>,
     /// Print JSON to standard output.
     #[arg(long)]

@@ -10,7 +10,13 @@ pub struct FrameSelection {
     #[arg(help_heading = "Recording", long, value_name = "FILE")]
     timestamps: Option<PathBuf>,
     /// Frame rate, if the source does not state it.
-    #[arg(help_heading = "Recording", long, value_name = "RATE", allow_negative_numbers = true)]
+    #[arg(
+        help_heading = "Recording",
+        long,
+        value_name = "RATE",
+        allow_negative_numbers = true,
+        conflicts_with = "timestamps"
+    )]
     fps: Option<f64>,
     /// Begin this many seconds after the first frame.
     #[arg(help_heading = "Recording", long, value_name = "SECONDS", allow_negative_numbers = true)]

@@ -93,7 +93,7 @@ const CAMERA_UNKNOWN: &str = "the camera file has no uncertainty, so the deviati
 
 /// Runs the command.
 pub fn ground(arguments: GroundArguments) -> Result<Outcome> {
-    let source = arguments.sources.first().map_or("-", String::as_str);
+    let source = arguments.source();
     let output = arguments.output.clone().unwrap_or_else(|| files::free_beside(source, "-rig.toml"));
     let picture_path = picture_path(&output)?;
     for path in [&output, &picture_path] {
@@ -103,7 +103,7 @@ pub fn ground(arguments: GroundArguments) -> Result<Outcome> {
         Some(board) => board::measure(&arguments, board.parse()?)?,
         None => driving::measure(&arguments)?,
     };
-    let camera = read_camera(&arguments.camera, size_of(&measured.frame))?.0;
+    let camera = read_camera(&arguments.camera, source, size_of(&measured.frame))?.0;
     let drawn = picture::drawn(&camera, &measured)?;
     let _made = files::MadeFolders::of_file(&output)?;
     files::write(&picture_path, &drawn)?;
@@ -138,24 +138,29 @@ fn size_of(image: &RgbImage) -> (usize, usize) {
     (image.width(), image.height())
 }
 
-/// The camera of the file for frames of a size, with its uncertainty, if the file has one.
-fn read_camera(path: &Path, size: (usize, usize)) -> Result<(Camera, Option<CameraUncertainty>)> {
+/// The camera of the file for frames of a size of a source, with its uncertainty, if the file has
+/// one.
+fn read_camera(
+    path: &Path,
+    source: &str,
+    size: (usize, usize),
+) -> Result<(Camera, Option<CameraUncertainty>)> {
     let text = files::read_text(path)?;
     let in_file = |error: Error| error.at(path.display());
     let camera = odograph_session::parse_camera(path, &text, size)?;
-    if (camera.width(), camera.height()) != size {
-        return Err(Error::input(format!(
-            "the frames are {}x{} but the camera is calibrated for {}x{}; calibrate at their size",
-            size.0,
-            size.1,
-            camera.width(),
-            camera.height(),
-        )));
+    let calibrated = (camera.width(), camera.height());
+    if calibrated != size {
+        return Err(odograph_session::other_size(source, size, calibrated));
     }
     Ok((camera, camera_file::parse_uncertainty(&text).map_err(in_file)?))
 }
 
 impl GroundArguments {
+    /// The first source.
+    fn source(&self) -> &str {
+        self.sources.first().map_or("-", String::as_str)
+    }
+
     fn source_options(&self) -> SourceOptions {
         SourceOptions { color: true, ..self.frames.source_options() }
     }

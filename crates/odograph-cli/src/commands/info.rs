@@ -71,6 +71,14 @@ struct GapJson {
     length_s: f64,
 }
 
+/// Whether a camera file is for the images of a stream.
+#[derive(Debug, Clone, Copy, PartialEq)]
+enum CameraFit {
+    Fits,
+    /// Width and height that it is for, pixels.
+    OtherSize(usize, usize),
+}
+
 /// Runs the command.
 pub fn info(arguments: InfoArguments) -> Result<Outcome> {
     let setup = CameraSetup { camera: arguments.camera.clone(), ..CameraSetup::default() };
@@ -78,17 +86,21 @@ pub fn info(arguments: InfoArguments) -> Result<Outcome> {
     let camera_text = camera.as_deref().map(files::read_text).transpose()?;
     odograph_session::check_recording(Path::new(&arguments.file))?;
     let contents = odograph_video::inspect(&arguments.file)?;
-    let fits = |stream: &Stream| -> Result<Option<bool>> {
+    let fit = |stream: &Stream| -> Result<Option<CameraFit>> {
         let (Some(text), Some(path)) = (&camera_text, &camera) else { return Ok(None) };
         let StreamUse::Frames(_) = stream.usable_as else { return Ok(None) };
         let camera = camera_file::parse(text, stream.size).map_err(|error| error.at(path.display()))?;
-        Ok(stream.size.map(|size| size == (camera.width(), camera.height())))
+        let calibrated = (camera.width(), camera.height());
+        Ok(stream.size.map(|size| match size == calibrated {
+            true => CameraFit::Fits,
+            false => CameraFit::OtherSize(calibrated.0, calibrated.1),
+        }))
     };
-    let fits = contents.streams.iter().map(fits).collect::<Result<Vec<_>>>()?;
+    let fits = contents.streams.iter().map(fit).collect::<Result<Vec<_>>>()?;
     if arguments.json {
         console::print(&json(&arguments.file, &contents, &fits)?)?;
     } else {
-        let given = arguments.camera.as_deref().filter(|_| fits.contains(&Some(true)));
+        let given = arguments.camera.as_deref().filter(|_| fits.contains(&Some(CameraFit::Fits)));
         let profile = arguments.chosen.profile.as_deref();
         console::print(&text((&arguments.file, given, profile), &contents, &fits))?;
         contents.warnings.iter().for_each(|warning| console::warn(&format!("{}: {warning}", arguments.file)));
@@ -120,7 +132,7 @@ fn recorded(stream: &Stream) -> Option<&RecordedCamera> {
     }
 }
 
-fn json(file: &str, contents: &Contents, fits: &[Option<bool>]) -> Result<String> {
+fn json(file: &str, contents: &Contents, fits: &[Option<CameraFit>]) -> Result<String> {
     let streams = contents.streams.iter().zip(fits).map(|(stream, camera_fits)| StreamJson {
         topic: stream.topic.as_deref(),
         kind: &stream.kind,
@@ -140,7 +152,7 @@ fn json(file: &str, contents: &Contents, fits: &[Option<bool>]) -> Result<String
         option: option(stream),
         camera_topic: recorded(stream).map(|recorded| recorded.topic.as_str()),
         camera: recorded(stream).map(|recorded| &recorded.camera),
-        camera_fits: *camera_fits,
+        camera_fits: camera_fits.map(|fit| fit == CameraFit::Fits),
     });
     let json =
         InfoJson { file, format: &contents.format, streams: streams.collect(), warnings: &contents.warnings };
@@ -153,7 +165,7 @@ fn json(file: &str, contents: &Contents, fits: &[Option<bool>]) -> Result<String
 fn text(
     (file, camera, profile): (&str, Option<&Path>, Option<&str>),
     contents: &Contents,
-    fits: &[Option<bool>],
+    fits: &[Option<CameraFit>],
 ) -> String {
     let mut text = String::new();
     let shown = console::name(file);
@@ -197,7 +209,7 @@ fn figures(stream: &Stream) -> Vec<String> {
 fn notes(
     (file, camera, profile): (&str, Option<&Path>, Option<&str>),
     stream: &Stream,
-    fits: Option<bool>,
+    fits: Option<CameraFit>,
 ) -> Vec<String> {
     let mut notes = Vec::new();
     if let Some(longest) = stream.gaps.iter().max_by(|a, b| a.length_s.total_cmp(&b.length_s)) {
@@ -240,12 +252,9 @@ fn notes(
         }
         _ => {}
     }
-    notes.extend(fits.map(|fits| {
-        if fits {
-            "the camera file fits".to_owned()
-        } else {
-            "the camera file is for images of another size".to_owned()
-        }
+    notes.extend(fits.map(|fit| match fit {
+        CameraFit::Fits => "the camera file fits".to_owned(),
+        CameraFit::OtherSize(width, height) => format!("the camera file is for images of {width}x{height}"),
     }));
     notes
 }

@@ -52,7 +52,13 @@ pub struct LocalizeArguments {
     #[arg(help_heading = "Recording", long, value_name = "FILE")]
     pub timestamps: Option<PathBuf>,
     /// Frame rate, if the source does not state it.
-    #[arg(help_heading = "Recording", long, value_name = "RATE", allow_negative_numbers = true)]
+    #[arg(
+        help_heading = "Recording",
+        long,
+        value_name = "RATE",
+        allow_negative_numbers = true,
+        conflicts_with = "timestamps"
+    )]
     pub fps: Option<f64>,
     /// Take at most this many frames.
     #[arg(help_heading = "Recording", long, value_name = "N")]

@@ -1,47 +1,56 @@
 //! `odograph simulate`: renders a recording with exact ground truth.
 
 mod avi;
+mod board;
+mod drive;
 mod output;
 mod photographs;
 mod scene;
+mod without_effect;
 pub(super) mod y4m;
 
 use crate::Outcome;
 use crate::lengths::{self, Height};
 use clap::ValueEnum;
 use odograph::error::Result;
-use odograph_simulation::Simulation;
-use output::SimulationOutput;
+use odograph_calibration::Board;
 use serde::Serialize;
-use std::path::{Path, PathBuf};
+use std::path::PathBuf;
 
-/// Render a recording over a floor, with exact ground truth
+/// Render a recording over a floor, or of a board, with exact truth
 ///
 /// Writes the frames, the truth, the camera file and the rig file.
 ///
 /// The same options always write the same bytes. Without options: a square of 2 m without turning,
 /// over asphalt, seen from 0.9 m.
 #[derive(clap::Args, Debug)]
+#[command(after_help = EXAMPLES)]
 pub struct SimulateArguments {
     /// Folder to write to
     ///
     /// [default: simulation, with a number if that exists]
     #[arg(help_heading = "Results", short, long, value_name = "FOLDER")]
     output: Option<PathBuf>,
+    /// Instead of a drive: this board, such as chessboard:9x6:25mm, held to the camera for 30 s
+    ///
+    /// Writes board.avi and the true camera.yaml, to try `odograph calibrate` without a board. The
+    /// boards are those of `odograph board --help`.
+    #[arg(long, value_name = "BOARD", conflicts_with_all = board::ONLY_FOR_DRIVES, help_heading = "Board")]
+    board: Option<Board>,
     /// Ground: asphalt, carpet, tiles, bricks, grass, concrete, bare, or a photograph
     ///
     /// A photograph of a floor is a PNG or JPEG. Given twice, patches of the second lie in the
     /// first.
     #[arg(long, value_name = "NAME|FILE", default_value = "asphalt", help_heading = "Ground and way")]
     texture: Vec<String>,
-    /// Width of the ground that a photograph shows, metres; one for each photograph
-    #[arg(long, value_name = "LENGTH", value_parser = lengths::metres, default_value = "2", help_heading = "Ground and way")]
+    /// Width of the ground that a photograph shows, metres; one for each photograph [default: 2]
+    #[arg(long, value_name = "LENGTH", value_parser = lengths::metres, help_heading = "Ground and way")]
     photo_width: Vec<f64>,
-    /// How a photograph covers the plane: mirror, repeat or scatter
+    /// How a photograph covers the plane: mirror (the default), repeat or scatter
     ///
     /// mirror is seamless, repeat is for photographs whose edges fit, scatter for asphalt and
     /// grass: nothing repeats.
-    #[arg(long, value_name = "HOW", default_value = "mirror", help_heading = "Ground and way")]
+    #[arg(long, value_name = "HOW", help_heading = "Ground and way")]
     tiling: Vec<TilingName>,
     /// Shape of the path
     #[arg(long, value_name = "NAME", value_enum, default_value = "square", help_heading = "Ground and way")]
@@ -51,21 +60,21 @@ pub struct SimulateArguments {
     /// Of a straight or a walk in all, of an eight from tip to tip.
     #[arg(long, value_name = "LENGTH", value_parser = lengths::metres, help_heading = "Ground and way")]
     length: Option<f64>,
-    /// Speed over ground, metres per second
-    #[arg(long, value_name = "M/S", default_value_t = 0.5, help_heading = "Ground and way")]
-    speed: f64,
-    /// Rate of turning on the spot or about a point, degrees per second
-    #[arg(long, value_name = "DEGREES/S", default_value_t = 30.0, help_heading = "Ground and way")]
-    turn_rate: f64,
+    /// Speed over ground, metres per second [default: 0.5]
+    #[arg(long, value_name = "M/S", help_heading = "Ground and way")]
+    speed: Option<f64>,
+    /// Rate of turning on the spot or about a point, degrees per second [default: 30]
+    #[arg(long, value_name = "DEGREES/S", help_heading = "Ground and way")]
+    turn_rate: Option<f64>,
     /// Turns about the pivot, or laps of the eight
     #[arg(long, value_name = "TURNS", allow_negative_numbers = true, help_heading = "Ground and way")]
     turns: Option<f64>,
-    /// Number of lanes
-    #[arg(long, value_name = "COUNT", default_value_t = 4, help_heading = "Ground and way")]
-    lanes: u32,
-    /// Distance between lanes, metres
-    #[arg(long, value_name = "LENGTH", value_parser = lengths::metres, default_value_t = 0.6, help_heading = "Ground and way")]
-    spacing: f64,
+    /// Number of lanes [default: 4]
+    #[arg(long, value_name = "COUNT", help_heading = "Ground and way")]
+    lanes: Option<u32>,
+    /// Distance between lanes, metres [default: 0.6]
+    #[arg(long, value_name = "LENGTH", value_parser = lengths::metres, help_heading = "Ground and way")]
+    spacing: Option<f64>,
     /// Stones of this height and depth, millimetres, and their distance, centimetres
     ///
     /// [default distance: 3 cm] Both take units: 8mm:3cm.
@@ -292,8 +301,10 @@ pub struct SimulateArguments {
     sensors: bool,
 
     /// png: a folder of pictures; y4m: uncompressed video; mjpeg: an AVI of JPEG pictures
-    #[arg(help_heading = "Results", long, value_enum, default_value = "png")]
-    format: FormatName,
+    ///
+    /// [default: png; with --board mjpeg]
+    #[arg(help_heading = "Results", long, value_enum)]
+    format: Option<FormatName>,
     /// Colour instead of gray
     #[arg(help_heading = "Results", long)]
     color: bool,
@@ -309,6 +320,12 @@ pub struct SimulateArguments {
     #[arg(help_heading = "Results", long, value_name = "COUNT")]
     threads: Option<std::num::NonZeroUsize>,
 }
+
+const EXAMPLES: &str = "\
+Examples:
+  odograph simulate --path eight --texture carpet -o sim
+  odograph simulate --board chessboard:9x6:25mm -o board
+  odograph simulate --board charuco:8x11:20mm --format png --fps 1 -o board";
 
 /// The shapes of paths by name.
 #[derive(ValueEnum, Debug, Clone, Copy, PartialEq, Eq, Serialize)]
@@ -353,35 +370,21 @@ enum FormatName {
     Mjpeg,
 }
 
-/// Runs the command.
-pub fn simulate(arguments: SimulateArguments) -> Result<Outcome> {
-    let (config, parameters) = scene::from_arguments(&arguments)?;
-    let simulation = Simulation::new(config)?;
-    let simulation = match &arguments.markers {
-        Some(markers) => simulation.with_markers(&markers.family, markers.spacing_m)?,
-        None => simulation,
-    };
-    if !arguments.quiet {
-        arguments.height.question();
+impl FormatName {
+    /// The name of the frames in their folder; videos have this name.
+    fn file_name(self, video: &str) -> String {
+        match self {
+            Self::Png => "frames".to_owned(),
+            Self::Y4m => format!("{video}.y4m"),
+            Self::Mjpeg => format!("{video}.avi"),
+        }
     }
-    let parameters = match arguments.sensors {
-        true => parameters.with_sensors(&simulation.sensors()?),
-        false => parameters,
-    };
-    let output = SimulationOutput::prepared(&arguments, &simulation)?;
-    output.write(&simulation, &parameters)?;
-    if !arguments.quiet {
-        print_result(output.folder(), &simulation)?;
-    }
-    Ok(Outcome::Done)
 }
 
-fn print_result(folder: &Path, simulation: &Simulation) -> Result<()> {
-    let last_s = simulation.times_s().last().copied().unwrap_or(0.0);
-    crate::console::print(&format!(
-        "{}: {} frames, {last_s:.2} s, {:.2} m of path; truth.tum, camera.yaml and rig.toml lie beside them\n",
-        crate::console::name(folder),
-        simulation.len(),
-        simulation.config().path.length_m(),
-    ))
+/// Runs the command.
+pub fn simulate(arguments: SimulateArguments) -> Result<Outcome> {
+    match &arguments.board {
+        Some(shown) => board::simulate(&arguments, shown),
+        None => drive::simulate(&arguments),
+    }
 }

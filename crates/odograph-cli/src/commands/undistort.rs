@@ -100,13 +100,9 @@ pub fn undistort(arguments: UndistortArguments) -> Result<Outcome> {
     let (width, height) = (source.info().width, source.info().height);
     let in_file = |error: Error| error.at(arguments.camera.display());
     let camera = odograph_session::parse_camera(&arguments.camera, &camera_text, (width, height))?;
-    if (camera.width(), camera.height()) != (width, height) {
-        return Err(Error::input(format!(
-            "the frames of {} are {width}x{height} but the camera is calibrated for {}x{}; calibrate at the recording's size",
-            arguments.source,
-            camera.width(),
-            camera.height(),
-        )));
+    let calibrated = (camera.width(), camera.height());
+    if calibrated != (width, height) {
+        return Err(odograph_session::other_size(&arguments.source, (width, height), calibrated));
     }
     let correction = ImageCorrection::new(&camera, arguments.field_of_view_kept.into()).map_err(in_file)?;
     let folder =

@@ -169,6 +169,87 @@ fn a_photograph_can_be_the_ground() {
     assert!(folder.join("truth.tum").exists());
 }
 
+/// Calibrates with a simulated board; returns the figures that were printed as JSON.
+fn calibrated(folder: &Path, options: &str) -> serde_json::Value {
+    let mut command = Command::new(env!("CARGO_BIN_EXE_odograph"));
+    let output = command.current_dir(folder).arg("calibrate").args(options.split(' ')).output().unwrap();
+    assert!(output.status.success(), "{options}: {}", String::from_utf8_lossy(&output.stderr));
+    serde_json::from_slice(&output.stdout).unwrap()
+}
+
+#[test]
+fn a_simulated_board_calibrates_to_the_true_camera() {
+    let scratch = tempfile::tempdir().unwrap();
+    let folder = scratch.path();
+    for board in ["chessboard:7x5:30mm", "charuco:6x8:30mm", "aprilgrid:4x3:40mm", "circles:7x5:20mm"] {
+        let options = ["--board", board, "--size", "480x360", "--fps", "2", "--duration", "24", "--force"];
+        let output = simulate(&folder.join("sim"), &options);
+        let said = String::from_utf8_lossy(&output.stdout);
+        assert!(output.status.success(), "{}", String::from_utf8_lossy(&output.stderr));
+        assert!(said.contains(&format!("sim/board.avi --board {board}")), "{said}");
+        let calibrate = format!("sim/board.avi --board {board} -o found.yaml --model brown4 --json --force");
+        let figures = calibrated(folder, &calibrate);
+        let camera = |name: &str| {
+            let text = fs::read_to_string(folder.join(name)).unwrap();
+            odograph::formats::camera_file::parse(&text, None).unwrap()
+        };
+        let (found, truth) = (camera("found.yaml"), camera("sim/camera.yaml"));
+        let deviation = |name: &str| figures["parameters"][name]["deviation"].as_f64().unwrap();
+        for (name, found, truth) in
+            [("fx", found.focal_px().0, truth.focal_px().0), ("fy", found.focal_px().1, truth.focal_px().1)]
+        {
+            // The middle of a disc's image is not the image of its middle: a few thousandths.
+            let bias = if board.starts_with("circles") { 2e-3 * truth } else { 0.0 };
+            assert!((found - truth).abs() < 3.5 * deviation(name) + bias, "{board}: {name} {found} {truth}");
+        }
+    }
+}
+
+#[test]
+fn a_simulated_board_replaces_a_drive_and_is_deterministic() {
+    let scratch = tempfile::tempdir().unwrap();
+    let folder = scratch.path().join("sim");
+    wrote(&folder, &[]);
+    let options = ["--board", "chessboard:7x5:30mm", "--format", "png", "--duration", "1", "--fps", "4"];
+    wrote(&folder, &[options.as_slice(), &["--force", "--threads", "1"]].concat());
+    let names: Vec<String> = contents(&folder).into_iter().map(|(name, _)| name).collect();
+    let pictures = (0..5).map(|i| format!("frames/{i:06}.png"));
+    let beside = ["camera.yaml", "frames.txt", "simulation.toml", "truth.tum"].map(str::to_owned);
+    let mut wanted: Vec<String> = pictures.chain(beside).collect();
+    wanted.sort();
+    assert_eq!(names, wanted, "rig.toml of the drive is gone");
+    let again = scratch.path().join("again");
+    wrote(&again, &[options.as_slice(), &["--threads", "3"]].concat());
+    assert!(contents(&folder) == contents(&again));
+    let poses = fs::read_to_string(folder.join("truth.tum")).unwrap();
+    assert_eq!(poses.lines().filter(|line| !line.starts_with('#')).count(), 5);
+    assert!(fs::read_to_string(folder.join("simulation.toml")).unwrap().contains("chessboard:7x5:30mm"));
+}
+
+#[test]
+fn options_without_effect_are_refused_by_name() {
+    let scratch = tempfile::tempdir().unwrap();
+    for (options, says) in [
+        ("--path eight --lanes 3", "--lanes has no effect with --path eight, only with lanes"),
+        (
+            "--path pivot --speed 1",
+            "--speed has no effect with --path pivot, only with straight, square, square-turns, eight, lanes or walk",
+        ),
+        (
+            "--tiling scatter",
+            "--tiling has no effect without a photograph as --texture; asphalt is a texture of its own",
+        ),
+        ("--ride", "--ride has nothing to follow on flat ground; add --undulation, --kerb or --ramp"),
+        ("--board chessboard:9x6:25mm --lanes 2", "cannot be used with"),
+    ] {
+        let folder = scratch.path().join("sim");
+        let output = simulate(&folder, &options.split(' ').collect::<Vec<_>>());
+        let message = String::from_utf8_lossy(&output.stderr);
+        assert_eq!(output.status.code(), Some(2), "{options}: {message}");
+        assert!(message.contains(says) && !folder.exists(), "{options}: {message}");
+    }
+}
+
 #[test]
 fn nothing_is_overwritten_without_force() {
     let scratch = tempfile::tempdir().unwrap();

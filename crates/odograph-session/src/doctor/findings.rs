@@ -4,6 +4,7 @@ use super::appearance::Appearance;
 use super::intervals::Intervals;
 use super::lens::{Codec, Coded, GivenLens};
 use super::tracking::Tracking;
+use crate::rig::advice_for_other_size;
 use odograph::camera::{Camera, Rig};
 use odograph::fixed_pattern::FixedPattern;
 use odograph::trajectory::LossReason;
@@ -117,7 +118,7 @@ impl Seen<'_> {
             GivenLens::OtherSize(w, h) => (
                 Judgement::Spoils,
                 format!("calibrated for {w}x{h}, but the frames are {width}x{height}"),
-                Some("calibrate at the size of the recording: odograph calibrate"),
+                Some(advice_for_other_size(self.size, (w, h))),
             ),
             GivenLens::Missing => (
                 Judgement::Limits,

@@ -7,6 +7,7 @@ use odograph::trajectory::FrameEstimate;
 use odograph_live::McapFile;
 use odograph_live::capture::{Newest, Policy, Taken};
 use odograph_live::foxglove::TrackedImage;
+use std::fs;
 use std::path::{Path, PathBuf};
 use std::sync::{Mutex, PoisonError};
 use std::time::Duration;
@@ -20,10 +21,12 @@ const PICTURE_EVERY_S: f64 = 0.1;
 /// The file of a run, if requested.
 pub struct McapLog {
     path: PathBuf,
+    /// Where it grows until it is complete.
+    growing: PathBuf,
     file: Mutex<Option<McapFile>>,
     queue: Newest<Entry>,
     next_picture_s: Mutex<Option<f64>>,
-    failure: Mutex<Option<String>>,
+    failure: Mutex<Option<Error>>,
 }
 
 struct Entry {
@@ -36,9 +39,13 @@ struct Entry {
 impl McapLog {
     /// A file at `path`, for a run over a source with this description.
     pub fn new(path: &Path, source: &str, policy: Policy) -> Result<Self> {
-        let file = McapFile::create(path, source)?;
+        let growing = files::beside(path);
+        let file = McapFile::create(&growing, source).inspect_err(|_| {
+            let _ = fs::remove_file(&growing);
+        })?;
         Ok(Self {
             path: path.to_owned(),
+            growing,
             file: Mutex::new(Some(file)),
             queue: Newest::new(policy, QUEUE),
             next_picture_s: Mutex::new(None),
@@ -79,14 +86,15 @@ impl McapLog {
         self.queue.close();
     }
 
-    /// Writes all input, then finishes the file. On a full disk it stops, and tracking continues.
+    /// Writes all input, then finishes the file and gives it its name. On a full disk it stops,
+    /// what there is keeps the name of a growing file, and tracking continues.
     pub fn write_all(&self) {
         let Some(mut file) = self.file.lock().unwrap_or_else(PoisonError::into_inner).take() else { return };
         loop {
             match self.queue.take(Duration::from_secs(1)) {
                 Taken::Item(Entry { frame, of, latency_ms, picture }) => {
                     if let Err(error) = file.add(&frame, &of, latency_ms, picture.as_ref()) {
-                        self.fail(&error);
+                        self.fail(error);
                         // The sender must not wait for a stopped writer.
                         self.queue.close();
                         return;
@@ -96,23 +104,33 @@ impl McapLog {
                 Taken::End => break,
             }
         }
-        let empty = file.frames() == 0;
-        if let Err(error) = file.finish() {
-            self.fail(&error);
+        if file.frames() == 0 {
+            drop(file);
+            let _ = fs::remove_file(&self.growing);
+            return;
         }
-        if empty {
-            let _ = std::fs::remove_file(&self.path);
+        let named = || {
+            let renamed = fs::rename(&self.growing, &self.path);
+            renamed.map_err(|error| Error::not_written(self.path.display(), error))
+        };
+        if let Err(error) = file.finish().and_then(|()| named()) {
+            self.fail(error);
         }
     }
 
-    fn fail(&self, error: &Error) {
-        let message = format!("{error}; tracking goes on without it");
-        *self.failure.lock().unwrap_or_else(PoisonError::into_inner) = Some(message);
+    fn fail(&self, error: Error) {
+        *self.failure.lock().unwrap_or_else(PoisonError::into_inner) = Some(error);
+    }
+
+    /// Why the file is not complete. It is taken at the end of the run, which then fails with it.
+    pub fn take_failure(&self) -> Option<Error> {
+        self.failure.lock().unwrap_or_else(PoisonError::into_inner).take()
     }
 
     /// Warning.
     pub fn message(&self) -> Option<String> {
-        self.failure.lock().unwrap_or_else(PoisonError::into_inner).clone()
+        let failure = self.failure.lock().unwrap_or_else(PoisonError::into_inner);
+        failure.as_ref().map(|error| format!("{error}; tracking goes on without it"))
     }
 
     /// Warning at the end.

@@ -131,7 +131,15 @@ pub fn follow(
     if ground.is_shown() {
         show_results(hub, ground, folder.path());
     }
-    Ok(outcome)
+    match log.and_then(McapLog::take_failure) {
+        Some(error) => {
+            let said = error.to_string();
+            let others = outcome.warnings.iter().filter(|warning| !warning.contains(&said));
+            others.for_each(|warning| ending.observer.warn(warning));
+            Err(error)
+        }
+        None => Ok(outcome),
+    }
 }
 
 /// Closes the queues of the other threads however tracking ends, so that they end too.

@@ -4,7 +4,7 @@ use crate::plan::SourcePlan;
 use odograph::error::{Error, Result};
 use odograph_live::capture::camera::{ModeWish, PixelFormat};
 use odograph_live::capture::{
-    HttpMjpeg, LiveSource, NetworkStream, Policy, RawFormat, RawFrames, Recording, Watch,
+    HttpMjpeg, LiveSource, NetworkStream, Policy, RawFormat, RawFrames, Recording, Watch, without_credentials,
 };
 use std::path::Path;
 use std::time::Duration;
@@ -57,6 +57,7 @@ pub fn open_live_input(
     if options.raw.is_some() && name != "-" {
         return Err(Error::usage("--raw says how the frames on standard input look; give - as the source"));
     }
+    check_options(plan, options)?;
     let never_late = |source: Box<dyn LiveSource>| LiveInput { source, policy: Policy::NewestWins };
     if name.starts_with("https://") {
         return Err(Error::usage(format!(
@@ -89,6 +90,43 @@ pub fn open_live_input(
     let speed = options.realtime.filter(|_| !streams);
     let policy = if speed.is_some() || streams { Policy::NewestWins } else { Policy::Wait };
     Ok(LiveInput { source: Box::new(Recording::new(plan.open()?, speed, watch.clone())), policy })
+}
+
+/// Fails if an option has no effect on this kind of source.
+fn check_options(plan: &SourcePlan, options: &CaptureOptions) -> Result<()> {
+    let name = without_credentials(&plan.path);
+    let is_camera = name.starts_with("/dev/video");
+    let is_http = name.starts_with("http://");
+    let is_network = is_http || odograph_video::is_stream(&name);
+    let chosen = [
+        ("--size", options.size_px.is_some()),
+        ("--format", options.format.is_some()),
+        ("--auto-exposure", options.auto_exposure),
+    ];
+    let selected = [
+        ("--start", plan.start_s.is_some()),
+        ("--end", plan.end_s.is_some()),
+        ("--every", plan.every != 1),
+        ("--topic", plan.topic.is_some()),
+    ];
+    let given = |options: &[(&'static str, bool)]| {
+        options.iter().find(|(_, is_given)| *is_given).map(|(option, _)| *option)
+    };
+    let refused =
+        |option: &str, what: &str| Err(Error::usage(format!("{option} {what}; leave it away for {name}")));
+    if let Some(option) = given(&chosen).filter(|_| !is_camera) {
+        return refused(option, "is asked of a camera at this machine, such as /dev/video0");
+    }
+    if options.patience.is_some() && !is_network {
+        return refused("--patience", "is for cameras of the network, which may come back");
+    }
+    if options.realtime.is_some() && (is_camera || is_network) {
+        return refused("--realtime", "is for recordings: a camera has its own pace");
+    }
+    if let Some(option) = given(&selected).filter(|_| is_camera || is_http || options.raw.is_some()) {
+        return refused(option, "selects frames of a recording");
+    }
+    Ok(())
 }
 
 #[cfg(target_os = "linux")]

@@ -9,9 +9,11 @@ use odograph_calibration::{Board, BoardPoint, BoardView, Drawing, Rectangle, See
 
 mod light;
 mod poses;
+mod recording;
 
 pub use light::{BoardEffects, Occlusion};
 pub use poses::Framing;
+pub use recording::BoardRecording;
 
 /// A board printed on a white sheet, in front of a cluttered background that is static in the
 /// image.
@@ -61,6 +63,12 @@ impl BoardScene {
     /// The camera model.
     pub fn camera(&self) -> &Camera {
         &self.camera
+    }
+
+    /// The middle of the printed pattern, in the board frame.
+    fn middle(&self) -> Point3<f64> {
+        let Rectangle { from, to } = self.drawing.pattern();
+        Point3::new((from.x_m + to.x_m) / 2.0, (from.y_m + to.y_m) / 2.0, 0.0)
     }
 
     /// True image positions of the board points in front of the camera and inside the image

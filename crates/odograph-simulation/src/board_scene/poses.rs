@@ -1,7 +1,7 @@
 //! Poses of a hand-held calibration board.
 
 use super::{BoardScene, uniform};
-use nalgebra::{Isometry3, Point3, Rotation3, Translation3, Unit, UnitQuaternion, Vector3};
+use nalgebra::{Isometry3, Rotation3, Translation3, Unit, UnitQuaternion, Vector3};
 use odograph::geometry::Pixel;
 use odograph_calibration::BoardPoint;
 
@@ -76,12 +76,7 @@ impl BoardScene {
         let rotation = facing
             * Rotation3::from_axis_angle(&axis, tilt_rad)
             * Rotation3::from_axis_angle(&Vector3::z_axis(), turn_rad);
-        let middle = Point3::new(
-            (pattern.from.x_m + pattern.to.x_m) / 2.0,
-            (pattern.from.y_m + pattern.to.y_m) / 2.0,
-            0.0,
-        );
-        let translation = sight.into_inner() * distance_m - rotation * middle.coords;
+        let translation = sight.into_inner() * distance_m - rotation * self.middle().coords;
         Some(Isometry3::from_parts(
             Translation3::from(translation),
             UnitQuaternion::from_rotation_matrix(&rotation),

@@ -99,6 +99,30 @@ fn poses_keep_the_board_visible_and_cover_the_image() {
 }
 
 #[test]
+fn a_recorded_board_is_held_still_and_then_moved() {
+    let recording = |seed: u64| {
+        let scene = BoardScene::new(&board("charuco:5x7:30mm"), &pinhole(), 1);
+        BoardRecording::new(scene, BoardEffects::camera_like(2.0, 0), 10.0, 3.0, seed).unwrap()
+    };
+    let shown = recording(4);
+    assert_eq!((shown.times_s().len(), shown.times_s()[30]), (31, 3.0));
+    let place = |time_s: f64| shown.camera_from_board(time_s);
+    assert_eq!(place(0.0), place(0.45));
+    let apart = |a: f64, b: f64| (place(a).inverse() * place(b)).translation.vector.norm();
+    assert!(apart(0.0, 1.0) > 0.01 && apart(0.5, 0.75) > 1e-3 && apart(0.98, 1.0) < 0.05 * apart(0.0, 1.0));
+    // The board is turned and moved along the shortest way.
+    let middle = shown.scene().middle();
+    let half = nalgebra::center(&(place(0.0) * middle), &(place(1.0) * middle));
+    assert!((place(0.75) * middle - half).norm() < 1e-9);
+    // Noise differs from frame to frame, and the same seed has the same recording.
+    let frame = |number: usize| shown.frame(number).unwrap();
+    assert_ne!(frame(0).samples(), frame(1).samples());
+    assert_eq!(frame(7).samples(), recording(4).frame(7).unwrap().samples());
+    assert_ne!(frame(7).samples(), recording(5).frame(7).unwrap().samples());
+    assert!(shown.frame(31).is_none());
+}
+
+#[test]
 fn board_effects_have_the_configured_strength() {
     let board = board("chessboard:7x5:30mm");
     let scene = BoardScene::new(&board, &pinhole(), 3);

@@ -25,6 +25,7 @@ pub(crate) fn open_frames(mut recording: Box<dyn MessageReader>, options: &Sourc
         _ => Ok(Opened {
             description: format!("images ({place})"),
             frame_count,
+            frames_within: None,
             times_known: true,
             timestamps_used: false,
             frames_per_second: None,

@@ -49,6 +49,9 @@ pub(crate) struct VideoTrack {
     /// Codec configuration (`avcC`, `hvcC`); empty if it is in the stream (Annex B).
     pub configuration: Vec<u8>,
     pub frame_count: Option<u64>,
+    /// The least and the greatest number of frames; `None` if the container does not state it
+    /// reliably or is cut off.
+    pub frames_within: Option<(u64, u64)>,
     pub orientation: Orientation,
     /// Colour encoding in the container; `None` if only the stream may have it.
     pub encoding: Option<ColorEncoding>,
@@ -65,6 +68,7 @@ impl VideoTrack {
             height: 0,
             configuration: Vec::new(),
             frame_count: None,
+            frames_within: None,
             orientation: Orientation::default(),
             encoding: None,
             times,

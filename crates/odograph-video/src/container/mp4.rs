@@ -7,7 +7,7 @@ use super::bytes::read_up_to;
 use super::mp4_boxes::{Sample, box_header};
 use super::mp4_fragments::Fragments;
 use super::mp4_tables::{self, Edit};
-use super::{Packet, PacketReader, VideoTrack};
+use super::{Packet, PacketReader, VideoCodec, VideoTrack};
 use crate::limits;
 use odograph::error::{Error, Result};
 use std::fs::File;
@@ -15,6 +15,10 @@ use std::io::{BufReader, Read, Seek, SeekFrom};
 
 /// Most parts of an edit list: each is compared with each frame. Cameras write two.
 const MAX_EDITS: usize = 256;
+
+/// Pictures of H.265 that may be skipped because they refer to pictures before the start (H.265,
+/// A.4: at most 16 are held back for reordering).
+const MAX_LEADING_PICTURES: u64 = 16;
 
 /// Reads the samples of the first video track of an MP4 or QuickTime file.
 pub(crate) struct Mp4Reader {
@@ -77,7 +81,11 @@ impl Mp4Reader {
         let timescale = f64::from(movie.timescale);
         begin_with_a_frame(&mut edits, &samples, timescale);
         let mut track = movie.track;
-        track.frame_count = Some(samples.iter().filter(|s| shown(&edits, s.time)).count() as u64);
+        let count = samples.iter().filter(|s| shown(&edits, s.time)).count() as u64;
+        track.frame_count = Some(count);
+        let skipped = if track.codec == VideoCodec::H265 { MAX_LEADING_PICTURES } else { 0 };
+        let is_whole = complete.is_none() && !index.cut;
+        track.frames_within = is_whole.then_some((count.saturating_sub(skipped), count));
         Ok(Self { file, track, samples, timescale, edits, next: 0, warnings })
     }
 }

@@ -170,6 +170,7 @@ fn open_pictures(
         .unwrap_or_default();
     Ok(Opened {
         frame_count: Some(pictures.len() as u64),
+        frames_within: Some((pictures.len() as u64, pictures.len() as u64)),
         description: if count == 1 { format!("picture ({kind})") } else { format!("pictures ({kind})") },
         timestamps_used: timestamps.is_some(),
         // A single image needs no frame rate.

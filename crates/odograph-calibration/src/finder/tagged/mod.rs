@@ -120,6 +120,13 @@ impl TaggedBoard {
         view.into_board_view()
     }
 
+    /// Numbers of mutually consistent markers among those of a larger dictionary.
+    pub fn numbers_agreeing(&self, read: &[Marker]) -> Vec<usize> {
+        let own: Vec<Marker> =
+            read.iter().filter(|marker| marker.id < self.cell_of_marker.len()).copied().collect();
+        self.agreeing(&own).into_iter().map(|marker| marker.id).collect()
+    }
+
     /// The largest set of mutually consistent markers (a connected component), each marker once.
     fn agreeing(&self, read: &[Marker]) -> Vec<Marker> {
         // A marker may be decoded with several windows of the threshold; duplicates are dropped.

@@ -32,9 +32,9 @@ pub struct BoardArguments {
     /// [default: the smallest of a4 to a0 that fits]
     #[arg(long, value_name = "PAPER")]
     paper: Option<Paper>,
-    /// Resolution of a PNG, pixels per inch.
-    #[arg(long, value_name = "N", default_value_t = 300, value_parser = clap::value_parser!(u16).range(50..=2400))]
-    dpi: u16,
+    /// Resolution of a PNG, pixels per inch. [default: 300]
+    #[arg(long, value_name = "N", value_parser = clap::value_parser!(u16).range(50..=2400))]
+    dpi: Option<u16>,
     /// Overwrite the file if it exists.
     #[arg(long)]
     force: bool,
@@ -60,6 +60,9 @@ Examples:
   odograph board --board charuco:8x11:20mm -o board.pdf
   odograph board --board chessboard:9x6:40mm --paper a2 -o board.svg";
 
+/// Resolution of a PNG where none is given, pixels per inch.
+const DPI: u16 = 300;
+
 /// The format, by the extension of the file.
 #[derive(Debug, Clone, Copy)]
 enum BoardFormat {
@@ -73,12 +76,18 @@ pub fn board(arguments: BoardArguments) -> Result<Outcome> {
     let BoardArguments { board, output, paper, dpi, force, quiet } = &arguments;
     let output = &output.clone().unwrap_or_else(|| files::free_beside("board", ".pdf"));
     let format = format(output)?;
+    if dpi.is_some() && !matches!(format, BoardFormat::Png) {
+        return Err(Error::usage(format!(
+            "--dpi is for .png; {} has no pixels, and is at true size at any resolution",
+            output.display()
+        )));
+    }
     files::check_output_file(output, *force)?;
     let page = Page::new(board, *paper)?;
     let bytes = match format {
         BoardFormat::Pdf => pdf::pdf(&page),
         BoardFormat::Svg => svg::svg(&page).into_bytes(),
-        BoardFormat::Png => png::png(&page, *dpi)?,
+        BoardFormat::Png => png::png(&page, dpi.unwrap_or(DPI))?,
     };
     let _made = files::MadeFolders::of_file(output)?;
     files::write(output, &bytes)?;

@@ -46,7 +46,7 @@ pub fn is_asked(arguments: &CalibrateArguments) -> Result<bool> {
         (true, [_, second, ..]) => {
             Err(Error::usage(format!("--live looks through one camera; what is {second}?")))
         }
-        _ => Ok(asked),
+        _ => arguments.serve.check().map(|()| asked),
     }
 }
 
@@ -139,6 +139,7 @@ fn open(arguments: &CalibrateArguments, watch: &Watch) -> Result<LiveInput> {
         start_s: arguments.start,
         end_s: arguments.end,
         every: arguments.every,
+        topic: arguments.topic.clone(),
         ..SourcePlan::new(path)
     };
     open_live_input(&plan, &arguments.capture.options(), || None, watch)

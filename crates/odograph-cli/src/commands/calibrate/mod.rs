@@ -10,10 +10,10 @@ mod summary;
 use super::live::{CaptureArguments, ServeArguments};
 use crate::{Outcome, console, files, interrupt};
 use input::Input;
-use odograph::error::Result;
+use odograph::error::{Error, Result};
 use odograph_calibration::selection::{Guidance, SelectionConfig, Sighting};
 use odograph_calibration::{
-    Board, BoardView, Calibration, CalibrationConfig, LensModel, Verdict, nothing_found,
+    Board, BoardView, Calibration, CalibrationConfig, LensModel, Verdict, nothing_found, seen_instead,
 };
 use odograph_video::SourceOptions;
 use output::CalibrationOutput;
@@ -180,6 +180,7 @@ pub fn calibrate(arguments: CalibrateArguments) -> Result<Outcome> {
     let search = search::search(&mut input, &board, selection, arguments.threads, arguments.quiet)?;
     let source = SearchedSource { description: input.description, searched: started.elapsed() };
     let mut calibrated = conclude(&arguments, board, search, selection, source)?;
+    calibrated.search.warn_of_another_board(&board);
     if interrupt::asked() {
         let search = &mut calibrated.search;
         search
@@ -273,9 +274,18 @@ fn choose<'a>(
         let found = &search.found;
         let mostly = found.reasons.first().map(|(reason, count)| (reason as &dyn Display, *count));
         let pictures = !found.pictures_without.is_empty();
-        return Err(nothing_found(board, found.looked_at, pictures, mostly).at(place));
+        let instead = seen_instead(board, &search.without.images);
+        return Err(nothing_found(board, found.looked_at, pictures, mostly, instead.as_ref()).at(place));
     }
-    search.selector.enough().map_err(|error| error.at(place))?;
+    search.selector.enough().map_err(|error| {
+        // The few views may be a mistake: another board resembles a part of this one.
+        let few = 2 * search.found.with_board < search.found.looked_at;
+        let instead = few.then(|| seen_instead(board, &search.without.images)).flatten();
+        match instead {
+            Some(instead) => Error::input(format!("{error}; of the others, {instead}")).at(place),
+            None => error.at(place),
+        }
+    })?;
     let guidance = search.selector.guidance();
     let all = search.pictures.len() <= most_views && !search.pictures.is_empty();
     let chosen = if all { search.pictures.iter().collect() } else { search.selector.chosen() };

@@ -6,8 +6,9 @@ use crate::interrupt;
 use crate::report::calibration::{BoardDetections, Thumbnail};
 use indicatif::{ProgressBar, ProgressStyle};
 use odograph::error::{Error, Result};
+use odograph::image::GrayImage;
 use odograph_calibration::selection::{SelectionConfig, Sighting, ViewSelector, blur_px};
-use odograph_calibration::{Board, BoardFinder, BoardView, NotFound};
+use odograph_calibration::{Board, BoardFinder, BoardView, NotFound, seen_instead};
 use std::collections::{BTreeMap, BTreeSet};
 use std::sync::{Arc, Mutex, mpsc};
 use std::thread;
@@ -25,9 +26,55 @@ pub struct BoardSearch {
     pub warnings: Vec<String>,
     /// What kind of recording it was, in words.
     pub kind: String,
+    /// Some of the images without the board.
+    pub without: ImageSample,
+}
+
+/// A few images, spread over all that were offered.
+#[derive(Default)]
+pub struct ImageSample {
+    pub images: Vec<GrayImage>,
+    offered: u64,
+    /// One in so many is kept; 0 before the first.
+    every: u64,
+}
+
+impl ImageSample {
+    /// More show no more, and take memory and time.
+    const MAX_IMAGES: usize = 8;
+
+    fn offer(&mut self, image: GrayImage) {
+        self.every = self.every.max(1);
+        if self.offered.is_multiple_of(self.every) {
+            if self.images.len() == Self::MAX_IMAGES {
+                let mut at = 0..;
+                self.images.retain(|_| at.next().is_some_and(|at: usize| at.is_multiple_of(2)));
+                self.every *= 2;
+            }
+            if self.offered.is_multiple_of(self.every) {
+                self.images.push(image);
+            }
+        }
+        self.offered += 1;
+    }
 }
 
 impl BoardSearch {
+    /// Warns where most frames do not show the board, but another one.
+    pub fn warn_of_another_board(&mut self, board: &Board) {
+        let BoardDetections { looked_at, with_board, .. } = self.found;
+        if 2 * with_board >= looked_at {
+            return;
+        }
+        let images = &self.without.images;
+        if let Some(instead) = seen_instead(board, images).filter(|seen| 2 * seen.images > images.len()) {
+            self.warnings.push(format!(
+                "{board} was found in {with_board} of {looked_at} frames only; of the others, {instead}: if that is \
+                 the board, state it"
+            ));
+        }
+    }
+
     /// Drops names and thumbnails of sightings that cannot be chosen any more: a recording shows
     /// the board in thousands of frames.
     fn forget_what_cannot_be_chosen(&mut self) {
@@ -48,8 +95,9 @@ pub struct FrameSearch {
     picture: bool,
     /// The board and how blurred it is, or why it was not found.
     outcome: std::result::Result<(BoardView, Option<f64>), NotFound>,
-    /// The image, small, if the board was found.
+    /// The image, small, if the board was found; otherwise the image.
     thumbnail: Option<Thumbnail>,
+    without: Option<GrayImage>,
 }
 
 impl FrameSearch {
@@ -154,7 +202,15 @@ pub fn look(finder: &BoardFinder, frame: SearchedImage) -> FrameSearch {
         (view, blur_px)
     });
     let thumbnail = outcome.as_ref().ok().and_then(|_| Thumbnail::new(&frame.image));
-    FrameSearch { name: frame.name, time_s: frame.time_s, picture: frame.picture, outcome, thumbnail }
+    let without = outcome.is_err().then_some(frame.image);
+    FrameSearch {
+        name: frame.name,
+        time_s: frame.time_s,
+        picture: frame.picture,
+        outcome,
+        thumbnail,
+        without,
+    }
 }
 
 /// What has been found so far, frame by frame in their order.
@@ -182,6 +238,7 @@ impl Gathering {
                 thumbnails: BTreeMap::new(),
                 warnings: Vec::new(),
                 kind,
+                without: ImageSample::default(),
             },
             most_views: selection.most_views,
             photographs: false,
@@ -226,6 +283,9 @@ impl Gathering {
                 self.say_what_is_missing();
             }
             Err(why) => {
+                if let Some(image) = looked.without {
+                    search.without.offer(image);
+                }
                 if looked.picture && search.found.pictures_without.len() < MAX_NAMED {
                     search.found.pictures_without.push((looked.name, why.to_string()));
                 }
@@ -290,4 +350,21 @@ fn progress(frames: Option<u64>, quiet: bool) -> ProgressBar {
         bar.set_style(style);
     }
     bar
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_sample_is_small_and_spread_over_all_images() {
+        let mut sample = ImageSample::default();
+        for number in 0..100u8 {
+            let image = GrayImage::from_samples(1, 1, vec![number]);
+            sample.offer(image.unwrap_or_else(|| panic!("one pixel")));
+            assert!(sample.images.len() <= ImageSample::MAX_IMAGES);
+        }
+        let numbers: Vec<u8> = sample.images.iter().map(|image| image.samples()[0]).collect();
+        assert_eq!(numbers, [0, 16, 32, 48, 64, 80, 96]);
+    }
 }

@@ -141,6 +141,16 @@ pub fn evaluate(arguments: EvaluateArguments) -> Result<Outcome> {
     let format = arguments.format.map(TrajectoryFormat::from);
     let estimate = read_trajectory(&arguments.estimate, format, times_s.as_deref())?;
     let truth = read_trajectory(&arguments.truth, format, times_s.as_deref())?;
+    if times_s.is_some() {
+        let has_times = |path: &Path| read_trajectory(path, format, None).map(|loaded| loaded.timed);
+        if has_times(&arguments.estimate)? && has_times(&arguments.truth)? {
+            return Err(Error::usage(format!(
+                "--times is for KITTI files; {} and {} have times of their own",
+                arguments.estimate.display(),
+                arguments.truth.display()
+            )));
+        }
+    }
     if !(estimate.timed && truth.timed) && estimate.trajectory.poses.len() != truth.trajectory.poses.len() {
         return Err(Error::input(format!(
             "{} has {} poses and {} has {}; without times only files of the same length can be compared (give --times)",

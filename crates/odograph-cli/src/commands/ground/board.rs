@@ -3,8 +3,8 @@
 use super::{CAMERA_UNKNOWN, GroundArguments, RigMeasurement, read_camera};
 use crate::{console, interrupt};
 use odograph::error::{Error, Result};
-use odograph::image::RgbImage;
-use odograph_calibration::{Board, BoardFinder, BoardView};
+use odograph::image::{GrayImage, RgbImage};
+use odograph_calibration::{Board, BoardFinder, BoardView, seen_instead};
 use odograph_calibration::{BoardMounting, FloorBoard, rig_from_boards};
 
 /// More views than this add no information.
@@ -13,7 +13,8 @@ const MAX_VIEWS: usize = 100;
 /// Views in which the board moved by less than this since the last one are duplicates, pixels.
 const MOVED_PX: f64 = 3.0;
 
-/// Number of pictures for which the reason of their exclusion is printed.
+/// Number of pictures for which the reason of their exclusion is printed, and that are searched for
+/// another board if there is none in any.
 const MAX_TOLD: usize = 8;
 
 /// What was found in all sources.
@@ -25,6 +26,8 @@ struct BoardSightings {
     still: usize,
     /// Names of the frames without the board, and why.
     without: Vec<(String, String)>,
+    /// The first of these frames.
+    images_without: Vec<GrayImage>,
     first: Option<RgbImage>,
     warnings: Vec<String>,
 }
@@ -38,8 +41,11 @@ pub fn measure(arguments: &GroundArguments, board: Board) -> Result<RigMeasureme
             .without
             .first()
             .map_or("there is no picture".to_owned(), |(name, why)| format!("{why} in {name}"));
+        let instead = seen_instead(&board, &found.images_without).map_or_else(String::new, |instead| {
+            format!("; {instead}: state that board, with the lengths of your print")
+        });
         return Err(Error::input(format!(
-            "no {board} was seen on the floor in {}: {why}",
+            "no {board} was seen on the floor in {}: {why}{instead}",
             match found.frames {
                 1 => "the picture".to_owned(),
                 frames => format!("any of {frames} pictures"),
@@ -47,7 +53,7 @@ pub fn measure(arguments: &GroundArguments, board: Board) -> Result<RigMeasureme
         )));
     };
     let size = found.views[0].size;
-    let (camera, uncertainty) = read_camera(&arguments.camera, size)?;
+    let (camera, uncertainty) = read_camera(&arguments.camera, arguments.source(), size)?;
     let mounting = rig_from_boards(&camera, uncertainty.as_ref(), &floor, &found.views)?;
     let mut warnings = found.warnings;
     for (name, why) in found.without.iter().take(MAX_TOLD) {
@@ -82,6 +88,7 @@ fn look(arguments: &GroundArguments, board: &Board) -> Result<BoardSightings> {
         frames: 0,
         still: 0,
         without: Vec::new(),
+        images_without: Vec::new(),
         first: None,
         warnings: Vec::new(),
     };
@@ -98,7 +105,12 @@ fn look(arguments: &GroundArguments, board: &Board) -> Result<BoardSightings> {
             found.frames += 1;
             let name = if single { path.clone() } else { format!("frame {} of {path}", frame.number) };
             match finder.find(&frame.gray) {
-                Err(why) => found.without.push((name, why.to_string())),
+                Err(why) => {
+                    found.without.push((name, why.to_string()));
+                    if found.images_without.len() < MAX_TOLD {
+                        found.images_without.push(frame.gray);
+                    }
+                }
                 Ok(view) if found.views.last().is_some_and(|last| is_same(last, &view)) => found.still += 1,
                 Ok(view) => {
                     if found.first.is_none() {

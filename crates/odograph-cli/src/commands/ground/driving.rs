@@ -70,7 +70,7 @@ pub fn measure(arguments: &GroundArguments) -> Result<RigMeasurement> {
         let source = open_recording(path, &arguments.source_options())?;
         (source.info().width, source.info().height)
     };
-    let (mut camera, uncertainty) = read_camera(&arguments.camera, size)?;
+    let (mut camera, uncertainty) = read_camera(&arguments.camera, arguments.source(), size)?;
     let mut pass = follow(arguments, path, &camera, uncertainty.as_ref(), rig, 1)?;
     let mut lens_off_px = None;
     for number in 0..MAX_PASSES {

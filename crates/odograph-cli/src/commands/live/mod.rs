@@ -43,7 +43,7 @@ pub struct LiveArguments {
     #[command(flatten)]
     pub serve: ServeArguments,
     /// Print a line of JSON for each frame to standard output.
-    #[arg(help_heading = "Results", long, value_name = "WHAT")]
+    #[arg(help_heading = "Results", long, value_name = "WHAT", conflicts_with = "json")]
     pub print: Option<Print>,
     /// Send a line of JSON for each frame as a datagram.
     #[arg(help_heading = "Results", long, value_name = "HOST:PORT")]
@@ -101,6 +101,7 @@ impl LiveArguments {
 pub fn live(arguments: LiveArguments) -> Result<Outcome> {
     let arguments = LiveArguments { mounted: arguments.mounted.with_profile()?, ..arguments };
     arguments.site.check()?;
+    arguments.serve.check()?;
     let mut outputs = Outputs::new(&arguments)?;
     arguments.mounted.setup.question(arguments.quiet);
     let observer = ConsoleObserver::without_progress(arguments.quiet).with_log(arguments.log);

@@ -28,6 +28,18 @@ pub struct ServeArguments {
     pub token: Option<String>,
 }
 
+impl ServeArguments {
+    /// Fails if there is a token for a page that nobody asked for.
+    pub fn check(&self) -> Result<()> {
+        match (&self.token, self.serve) {
+            (Some(_), None) => Err(Error::usage(
+                "--token is for the page, which only --serve offers; add --serve, or leave --token away",
+            )),
+            _ => Ok(()),
+        }
+    }
+}
+
 /// What can be downloaded: files by their names, in a folder.
 pub struct Offer {
     pub folder: PathBuf,

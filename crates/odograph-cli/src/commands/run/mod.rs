@@ -45,7 +45,13 @@ pub struct RunArguments {
     #[arg(help_heading = "Recording", long, value_name = "FILE")]
     pub timestamps: Option<PathBuf>,
     /// Frames a second, where the source does not say.
-    #[arg(help_heading = "Recording", long, value_name = "RATE", allow_negative_numbers = true)]
+    #[arg(
+        help_heading = "Recording",
+        long,
+        value_name = "RATE",
+        allow_negative_numbers = true,
+        conflicts_with = "timestamps"
+    )]
     pub fps: Option<f64>,
     /// Begin this many seconds after the first frame.
     #[arg(help_heading = "Recording", long, value_name = "SECONDS", allow_negative_numbers = true)]

@@ -1,33 +1,27 @@
 //! The folder that a simulation is written to.
 
-use super::scene::Parameters;
 use super::{FormatName, SimulateArguments, avi, y4m};
 use crate::files::{self, MadeFolders};
 use crate::interrupt;
 use indicatif::{ProgressBar, ProgressStyle};
 use jpeg_encoder::{ColorType, Encoder};
+use odograph::camera::Camera;
 use odograph::error::{Error, Result};
-use odograph::filter::fusion::Sensors;
-use odograph::formats::trajectory_file::write_tum;
-use odograph::formats::{camera_file, control_file, rig_file, sensor_file};
-use odograph::trajectory::{StampedPose, Trajectory};
-use odograph_simulation::{RenderedFrame, Simulation};
+use odograph::image::{GrayImage, RgbImage};
 use std::collections::BTreeMap;
 use std::fmt::Write as _;
 use std::fs;
-use std::io::{BufWriter, IsTerminal, Write};
+use std::io::{self, BufWriter, IsTerminal, Write};
 use std::path::{Path, PathBuf};
 use std::sync::atomic::{AtomicUsize, Ordering};
 use std::sync::mpsc;
 
 /// Quality of JPEG pictures; noise and texture survive.
 const JPEG_QUALITY: u8 = 93;
-/// Every file or folder that some run may write.
-const OURS: [&str; 13] = [
-    "frames",
-    "frames.txt",
-    "sim.y4m",
-    "sim.avi",
+/// Videos that some run may write.
+const VIDEOS: [&str; 4] = ["sim.y4m", "sim.avi", "board.y4m", "board.avi"];
+/// Files that may lie beside the frames.
+const TEXTS: [&str; 9] = [
     "truth.tum",
     "camera.yaml",
     "rig.toml",
@@ -39,12 +33,40 @@ const OURS: [&str; 13] = [
     "markers.csv",
 ];
 
+/// Every file or folder that some run may write.
+fn ours() -> impl Iterator<Item = &'static str> {
+    ["frames", "frames.txt"].into_iter().chain(VIDEOS).chain(TEXTS)
+}
+
+/// What is rendered.
+pub trait Recording: Sync {
+    /// Name of a video of it, without the ending.
+    fn video_name(&self) -> &'static str;
+    /// The true camera.
+    fn camera(&self) -> &Camera;
+    /// Frames per second.
+    fn fps(&self) -> f64;
+    /// Whether frames have colour.
+    fn colored(&self) -> bool;
+    /// Times of all frames, seconds; at least one.
+    fn times_s(&self) -> &[f64];
+    /// Renders a frame; `None` beyond the last.
+    fn frame(&self, number: usize) -> Option<Picture>;
+}
+
+/// A frame: its luminance and its colour, if any.
+pub struct Picture {
+    pub gray: GrayImage,
+    pub color: Option<RgbImage>,
+}
+
+/// Files that belong to the frames, by their names.
+pub type Texts = Vec<(&'static str, String)>;
+
 /// Where to and how.
 pub struct SimulationOutput {
     folder: PathBuf,
     format: FormatName,
-    sensors: bool,
-    tell_readout: bool,
     threads: usize,
     bar: ProgressBar,
     /// Whether files of an earlier run may be replaced.
@@ -54,39 +76,25 @@ pub struct SimulationOutput {
 }
 
 impl SimulationOutput {
-    /// Creates the folder; fails if an earlier run's files would be lost, unless that is allowed.
-    pub fn prepared(arguments: &SimulateArguments, simulation: &Simulation) -> Result<Self> {
+    /// Creates the folder for so many frames; fails if an earlier run's files would be lost, unless
+    /// that is allowed.
+    pub fn prepared(arguments: &SimulateArguments, format: FormatName, frames: usize) -> Result<Self> {
         let folder = arguments.output.clone().unwrap_or_else(|| files::free_beside("simulation", ""));
-        let timing = simulation.config().effects.timing;
-        if arguments.format != FormatName::Png && (timing.dropped > 0.0 || timing.jitter_s > 0.0) {
-            return Err(Error::usage(
-                "frames that are dropped or late need timestamps, which only --format png keeps (frames.txt)",
-            ));
-        }
-        files::check_output_names(&folder, &OURS, arguments.force)?;
+        files::check_output_names(&folder, &ours().collect::<Vec<_>>(), arguments.force)?;
         let made = MadeFolders::new(&folder)?;
         let threads = arguments
             .threads
             .or_else(|| std::thread::available_parallelism().ok())
             .map_or(1, std::num::NonZeroUsize::get);
-        let bar = if arguments.quiet || !std::io::stderr().is_terminal() {
+        let bar = if arguments.quiet || !io::stderr().is_terminal() {
             ProgressBar::hidden()
         } else {
-            ProgressBar::new(simulation.len() as u64)
+            ProgressBar::new(frames as u64)
         };
         if let Ok(style) = ProgressStyle::with_template("{bar:40} {pos}/{len} frames, {eta} left") {
             bar.set_style(style);
         }
-        Ok(Self {
-            folder,
-            format: arguments.format,
-            sensors: arguments.sensors,
-            tell_readout: arguments.tell_readout,
-            threads,
-            bar,
-            force: arguments.force,
-            _made: made,
-        })
+        Ok(Self { folder, format, threads, bar, force: arguments.force, _made: made })
     }
 
     /// Where it is.
@@ -94,80 +102,41 @@ impl SimulationOutput {
         &self.folder
     }
 
-    /// Renders and writes everything, or leaves nothing of it.
-    pub fn write(&self, simulation: &Simulation, parameters: &Parameters) -> Result<()> {
-        self.write_all(simulation, parameters).inspect_err(|_| {
+    /// Renders and writes everything, or leaves nothing of it; `texts` is asked for at the end.
+    pub fn write(&self, recording: &impl Recording, texts: impl FnOnce() -> Result<Texts>) -> Result<()> {
+        self.write_all(recording, texts).inspect_err(|_| {
             // Without --force nothing of these names was there.
             if !self.force {
-                OURS.iter().for_each(|name| files::remove(&self.folder.join(name)));
+                ours().for_each(|name| files::remove(&self.folder.join(name)));
             }
         })
     }
 
-    fn write_all(&self, simulation: &Simulation, parameters: &Parameters) -> Result<()> {
-        let parameters = toml::to_string(parameters)
-            .map_err(|error| Error::output(format!("the parameters cannot be written as TOML: {error}")))?;
+    fn write_all(&self, recording: &impl Recording, texts: impl FnOnce() -> Result<Texts>) -> Result<()> {
         let written = match self.format {
-            FormatName::Png => self.write_pictures(simulation),
-            FormatName::Y4m => self.write_y4m(simulation),
-            FormatName::Mjpeg => self.write_avi(simulation),
+            FormatName::Png => self.write_pictures(recording),
+            FormatName::Y4m => self.write_y4m(recording),
+            FormatName::Mjpeg => self.write_avi(recording),
         };
         self.bar.finish_and_clear();
         written?;
-        let config = simulation.config();
-        let poses = simulation.times_s().iter().map(|&time_s| StampedPose {
-            time_s,
-            world_from_camera: simulation.truth(time_s).world_from_camera(),
-        });
-        let truth = Trajectory { poses: poses.collect() };
-        let mut camera = camera_file::write(&config.camera);
-        if self.tell_readout {
-            let _ = writeln!(camera, "readout_time_s: {}", config.effects.readout_s);
-        }
-        for (name, text) in [
-            ("truth.tum", write_tum(&truth)),
-            ("camera.yaml", camera),
-            ("rig.toml", rig_file::write(&config.rig)),
-            ("simulation.toml", parameters),
-        ] {
+        let texts = texts()?;
+        for (name, text) in &texts {
             files::write(&self.folder.join(name), text.as_bytes())?;
         }
-        self.write_or_remove(
-            "markers.csv",
-            match simulation.markers() {
-                [] => None,
-                markers => Some(control_file::write(markers)),
-            },
-        )?;
-        self.write_sensors(simulation)
-    }
-
-    /// Writes a file, or removes that of an earlier run.
-    fn write_or_remove(&self, name: &str, text: Option<String>) -> Result<()> {
-        let path = self.folder.join(name);
-        match text {
-            Some(text) => files::write(&path, text.as_bytes()),
-            None if path.exists() => fs::remove_file(&path)
-                .map_err(|error| Error::output(format!("{} cannot be removed: {error}", path.display()))),
-            None => Ok(()),
-        }
-    }
-
-    /// The readings of the other sensors; without sensors, removes those of an earlier run.
-    fn write_sensors(&self, simulation: &Simulation) -> Result<()> {
-        let records = if self.sensors { simulation.sensors()?.records } else { Sensors::default() };
-        for (name, record) in [
-            ("gyro.csv", records.gyro),
-            ("heading.csv", records.heading),
-            ("wheel.csv", records.wheel),
-            ("range.csv", records.range),
-        ] {
-            self.write_or_remove(name, record.as_ref().map(sensor_file::write))?;
+        // Those of an earlier run do not belong to this one.
+        for name in TEXTS.iter().filter(|name| texts.iter().all(|(written, _)| written != *name)) {
+            let path = self.folder.join(name);
+            if path.exists() {
+                fs::remove_file(&path).map_err(|error| {
+                    Error::output(format!("{} cannot be removed: {error}", path.display()))
+                })?;
+            }
         }
         Ok(())
     }
 
-    fn write_pictures(&self, simulation: &Simulation) -> Result<()> {
+    fn write_pictures(&self, recording: &impl Recording) -> Result<()> {
         let frames = self.folder.join("frames");
         let part = files::beside(&frames);
         let failed = |error| Error::not_written(frames.display(), error);
@@ -176,11 +145,11 @@ impl SimulationOutput {
             fs::remove_dir_all(&part).map_err(failed)?;
         }
         fs::create_dir(&part).map_err(failed)?;
-        let encode = |frame: &RenderedFrame| match &frame.color {
+        let encode = |frame: &Picture| match &frame.color {
             Some(color) => files::png_from_rgb(color),
-            None => files::png_from_gray(&frame.image),
+            None => files::png_from_gray(&frame.gray),
         };
-        let rendered = self.render(simulation, encode, |number, bytes| {
+        let rendered = self.render(recording, encode, |number, bytes| {
             fs::write(part.join(picture_name(number)), bytes).map_err(failed)
         });
         let placed = rendered.and_then(|()| self.place_pictures(&part, &frames).map_err(failed));
@@ -189,15 +158,15 @@ impl SimulationOutput {
         }
         placed?;
         let mut list = String::from("# time_s name\n");
-        for (number, time_s) in simulation.times_s().iter().enumerate() {
+        for (number, time_s) in recording.times_s().iter().enumerate() {
             let _ = writeln!(list, "{time_s:.9} frames/{}", picture_name(number));
         }
         files::write(&self.folder.join("frames.txt"), list.as_bytes())
     }
 
     /// Brings the finished pictures from `part` to `frames`, in place of those of an earlier run.
-    fn place_pictures(&self, part: &Path, frames: &Path) -> std::io::Result<()> {
-        self.remove_old_recordings(&["frames"])?;
+    fn place_pictures(&self, part: &Path, frames: &Path) -> io::Result<()> {
+        self.remove_old_recordings("frames")?;
         if !frames.exists() {
             return fs::rename(part, frames);
         }
@@ -215,46 +184,48 @@ impl SimulationOutput {
         fs::remove_dir(part)
     }
 
-    fn write_y4m(&self, simulation: &Simulation) -> Result<()> {
-        let config = simulation.config();
-        let size = (config.camera.width(), config.camera.height());
-        self.write_stream("sim.y4m", |file| {
-            let failed = |error| Error::not_written(self.folder.join("sim.y4m").display(), error);
+    fn write_y4m(&self, recording: &impl Recording) -> Result<()> {
+        let size = (recording.camera().width(), recording.camera().height());
+        self.write_stream(recording, |file, failed| {
             let mut file = BufWriter::new(file);
-            file.write_all(&y4m::header(size, fraction(config.fps)?, config.colored)).map_err(failed)?;
-            let encode = |frame: &RenderedFrame| Ok(y4m::frame(&frame.image, frame.color.as_ref()));
-            self.render(simulation, encode, |_, bytes| file.write_all(&bytes).map_err(failed))?;
+            let header = y4m::header(size, fraction(recording.fps())?, recording.colored());
+            file.write_all(&header).map_err(failed)?;
+            let encode = |frame: &Picture| Ok(y4m::frame(&frame.gray, frame.color.as_ref()));
+            self.render(recording, encode, |_, bytes| file.write_all(&bytes).map_err(failed))?;
             file.into_inner().map_err(|error| failed(error.into_error()))
         })
     }
 
-    fn write_avi(&self, simulation: &Simulation) -> Result<()> {
-        let config = simulation.config();
+    fn write_avi(&self, recording: &impl Recording) -> Result<()> {
         let format = avi::StreamFormat {
-            size: (config.camera.width(), config.camera.height()),
-            fps: fraction(config.fps)?,
-            frames: simulation.len(),
-            bits: if config.colored { 24 } else { 8 },
+            size: (recording.camera().width(), recording.camera().height()),
+            fps: fraction(recording.fps())?,
+            frames: recording.times_s().len(),
+            bits: if recording.colored() { 24 } else { 8 },
         };
-        self.write_stream("sim.avi", |file| {
-            let failed = |error| Error::not_written(self.folder.join("sim.avi").display(), error);
+        self.write_stream(recording, |file, failed| {
             let mut writer = avi::Writer::new(BufWriter::new(file), format).map_err(failed)?;
-            self.render(simulation, jpeg, |_, bytes| writer.add(&bytes))?;
+            self.render(recording, jpeg, |_, bytes| writer.add(&bytes))?;
             let file = writer.finish(format).map_err(failed)?;
             file.into_inner().map_err(|error| failed(error.into_error()))
         })
     }
 
     /// One file, written beside its place and renamed when it is complete.
-    fn write_stream(&self, name: &str, write: impl FnOnce(fs::File) -> Result<fs::File>) -> Result<()> {
-        let path = self.folder.join(name);
+    fn write_stream(
+        &self,
+        recording: &impl Recording,
+        write: impl FnOnce(fs::File, &dyn Fn(io::Error) -> Error) -> Result<fs::File>,
+    ) -> Result<()> {
+        let name = self.format.file_name(recording.video_name());
+        let path = self.folder.join(&name);
         let beside = files::beside(&path);
         let failed = |error| Error::not_written(path.display(), error);
         let written = fs::File::create(&beside)
             .map_err(failed)
-            .and_then(write)
+            .and_then(|file| write(file, &failed))
             .and_then(|file| file.sync_data().map_err(failed))
-            .and_then(|()| self.remove_old_recordings(&[name]).map_err(failed))
+            .and_then(|()| self.remove_old_recordings(&name).map_err(failed))
             .and_then(|()| fs::rename(&beside, &path).map_err(failed));
         if written.is_err() {
             let _ = fs::remove_file(&beside);
@@ -263,15 +234,15 @@ impl SimulationOutput {
     }
 
     /// Removes an earlier run's recording in other formats: it would not belong to the new truth.
-    fn remove_old_recordings(&self, keep: &[&str]) -> std::io::Result<()> {
-        for name in ["frames.txt", "sim.y4m", "sim.avi"] {
+    fn remove_old_recordings(&self, keep: &str) -> io::Result<()> {
+        for name in VIDEOS.into_iter().chain(["frames.txt"]) {
             let path = self.folder.join(name);
-            if !keep.contains(&name) && path.exists() {
+            if keep != name && path.exists() {
                 fs::remove_file(path)?;
             }
         }
         let frames = self.folder.join("frames");
-        if keep.contains(&"frames") || !frames.is_dir() {
+        if keep == "frames" || !frames.is_dir() {
             return Ok(());
         }
         for entry in fs::read_dir(&frames)? {
@@ -288,11 +259,12 @@ impl SimulationOutput {
     /// Renders and encodes all frames on the threads, and hands them to `sink` in order.
     fn render(
         &self,
-        simulation: &Simulation,
-        encode: impl Fn(&RenderedFrame) -> Result<Vec<u8>> + Sync,
+        recording: &impl Recording,
+        encode: impl Fn(&Picture) -> Result<Vec<u8>> + Sync,
         mut sink: impl FnMut(usize, Vec<u8>) -> Result<()>,
     ) -> Result<()> {
-        let (threads, frames) = (self.threads.min(simulation.len()), simulation.len());
+        let frames = recording.times_s().len();
+        let threads = self.threads.min(frames);
         let next = AtomicUsize::new(0);
         let (sender, receiver) = mpsc::sync_channel::<(usize, Result<Vec<u8>>)>(2 * threads);
         std::thread::scope(|scope| {
@@ -301,7 +273,7 @@ impl SimulationOutput {
                 scope.spawn(move || {
                     loop {
                         let number = next.fetch_add(1, Ordering::Relaxed);
-                        let Some(frame) = simulation.frame(number) else { return };
+                        let Some(frame) = recording.frame(number) else { return };
                         // The receiver is gone when writing has failed.
                         if sender.send((number, encode(&frame))).is_err() {
                             return;
@@ -331,13 +303,13 @@ impl SimulationOutput {
     }
 }
 
-fn jpeg(frame: &RenderedFrame) -> Result<Vec<u8>> {
+fn jpeg(frame: &Picture) -> Result<Vec<u8>> {
     let mut bytes = vec![];
     let encoder = Encoder::new(&mut bytes, JPEG_QUALITY);
-    let (width, height) = (frame.image.width() as u16, frame.image.height() as u16);
+    let (width, height) = (frame.gray.width() as u16, frame.gray.height() as u16);
     let encoded = match &frame.color {
         Some(color) => encoder.encode(color.samples(), width, height, ColorType::Rgb),
-        None => encoder.encode(frame.image.samples(), width, height, ColorType::Luma),
+        None => encoder.encode(frame.gray.samples(), width, height, ColorType::Luma),
     };
     encoded.map_err(|error| Error::output(format!("a {width}x{height} JPEG cannot be encoded: {error}")))?;
     Ok(bytes)

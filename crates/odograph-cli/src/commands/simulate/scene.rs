@@ -48,6 +48,12 @@ impl Parameters {
         let errors = [("gyro", gyro), ("heading", heading), ("wheel", wheel), ("range", range)];
         Self { sensors: Some(BTreeMap::from(errors)), ..self }
     }
+
+    /// The text of `simulation.toml`.
+    pub fn as_toml(&self) -> Result<String> {
+        toml::to_string(self)
+            .map_err(|error| Error::output(format!("the parameters cannot be written as TOML: {error}")))
+    }
 }
 
 /// `--vibration` as it was typed.
@@ -88,8 +94,9 @@ pub fn from_arguments(arguments: &SimulateArguments) -> Result<(SimulationConfig
     }
     .validated()?;
     let kind = path_kind(arguments, &camera, &rig)?;
-    let turn_rate_rad_s = arguments.turn_rate.to_radians();
-    let path = Path::new(kind, arguments.speed, turn_rate_rad_s, !arguments.rolling)?;
+    let speed_m_s = arguments.speed.unwrap_or(0.5);
+    let turn_rate_deg_s = arguments.turn_rate.unwrap_or(30.0);
+    let path = Path::new(kind, speed_m_s, turn_rate_deg_s.to_radians(), !arguments.rolling)?;
     let effects = effects(arguments, &rig, &camera).validated()?;
     let config = SimulationConfig {
         texture: texture(arguments)?,
@@ -104,10 +111,10 @@ pub fn from_arguments(arguments: &SimulateArguments) -> Result<(SimulationConfig
     };
     let parameters = Parameters {
         texture: arguments.texture.clone(),
-        photo_width_m: arguments.photo_width.clone(),
-        tiling: arguments.tiling.clone(),
-        speed_m_s: arguments.speed,
-        turn_rate_deg_s: arguments.turn_rate,
+        photo_width_m: or_default(&arguments.photo_width, PHOTO_WIDTH_M),
+        tiling: or_default(&arguments.tiling, TilingName::Mirror),
+        speed_m_s,
+        turn_rate_deg_s,
         rolling: arguments.rolling,
         duration_s: arguments.duration.unwrap_or(config.path.duration_s()),
         fps: arguments.fps,
@@ -124,7 +131,15 @@ pub fn from_arguments(arguments: &SimulateArguments) -> Result<(SimulationConfig
     Ok((config, parameters))
 }
 
-fn camera(arguments: &SimulateArguments) -> Result<Camera> {
+/// Width of the ground that a photograph shows where none is given, metres.
+const PHOTO_WIDTH_M: f64 = 2.0;
+
+fn or_default<T: Copy>(given: &[T], default: T) -> Vec<T> {
+    if given.is_empty() { vec![default] } else { given.to_vec() }
+}
+
+/// The camera of the file, or the ordinary one of that size.
+pub fn camera(arguments: &SimulateArguments) -> Result<Camera> {
     let Some(file) = &arguments.camera else {
         return ordinary_camera(arguments.size.unwrap_or((640, 480)));
     };
@@ -162,9 +177,11 @@ fn path_kind(arguments: &SimulateArguments, camera: &Camera, rig: &Rig) -> Resul
         PathName::Eight => {
             PathKind::FigureEight { length_m: length_m(4.0), laps: arguments.turns.unwrap_or(1.0) }
         }
-        PathName::Lanes => {
-            PathKind::Lanes { length_m: length_m(3.0), spacing_m: arguments.spacing, count: arguments.lanes }
-        }
+        PathName::Lanes => PathKind::Lanes {
+            length_m: length_m(3.0),
+            spacing_m: arguments.spacing.unwrap_or(0.6),
+            count: arguments.lanes.unwrap_or(4),
+        },
         PathName::Walk => PathKind::RandomWalk { length_m: length_m(10.0), seed: arguments.seed },
     })
 }
@@ -239,7 +256,8 @@ fn terrain(arguments: &SimulateArguments) -> Terrain {
 fn texture(arguments: &SimulateArguments) -> Result<Texture> {
     // Values given once hold for all photographs.
     let nth = |n: usize| {
-        let width_m = arguments.photo_width.get(n).or(arguments.photo_width.last()).copied().unwrap_or(2.0);
+        let width_m =
+            arguments.photo_width.get(n).or(arguments.photo_width.last()).copied().unwrap_or(PHOTO_WIDTH_M);
         let tiling =
             arguments.tiling.get(n).or(arguments.tiling.last()).copied().unwrap_or(TilingName::Mirror);
         (width_m, tiling)

@@ -216,6 +216,53 @@ fn input_without_board_is_refused_in_one_sentence() {
 }
 
 #[test]
+fn another_board_than_the_one_stated_is_named() {
+    let place = CalibrationFolder::new();
+    let charuco = "charuco:6x5:40mm";
+    folder(&place.path("charuco"), &pictures(&scene_of(charuco, &camera()), 5));
+    folder(&place.path("chessboard"), &pictures(&scene(), 5));
+    let state = "state that board, with the lengths of your print";
+    place.refused(
+        "charuco --board chessboard:7x5:40mm -o camera.yaml",
+        3,
+        &[
+            "the board chessboard:7x5:40mm was not found",
+            "5 that were compared show charuco:6x5:40mm:30mm:4x4_50 instead",
+            state,
+        ],
+    );
+    place.refused(
+        "chessboard --board charuco:8x6:30mm -o camera.yaml",
+        3,
+        &[
+            "was not found in any of 5 pictures",
+            "of 5 that were compared show chessboard:7x5:30mm instead",
+            state,
+        ],
+    );
+    place.refused(
+        "charuco --board charuco:6x5:40mm:30mm:5x5_50 -o camera.yaml",
+        3,
+        &["show charuco:6x5:40mm:30mm:4x4_50 instead", state],
+    );
+    place.refused(
+        "chessboard/board00.png --board circles:7x5:30mm -o camera.yaml",
+        3,
+        &["was not found in the one picture", "it shows chessboard:7x5:30mm instead", state],
+    );
+}
+
+#[test]
+fn a_board_that_resembles_a_part_of_the_one_shown_is_doubted() {
+    let place = CalibrationFolder::new();
+    folder(&place.path("shots"), &pictures(&scene_of("charuco:8x11:20mm", &camera()), 12));
+    // Rows and columns were mistaken for each other: a row of markers still agrees now and then.
+    let done = place.calibrate("shots --board charuco:11x8:20mm -o camera.yaml --model brown4");
+    let outcome = String::from_utf8_lossy(&done.stderr).into_owned();
+    assert!(outcome.contains("charuco:8x11:20mm:15mm:4x4_50 instead"), "{outcome}");
+}
+
+#[test]
 fn too_few_or_equal_views_are_refused_with_advice() {
     let place = CalibrationFolder::new();
     let shown = pictures(&scene(), 2);

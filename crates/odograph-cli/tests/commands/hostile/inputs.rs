@@ -163,6 +163,12 @@ fn invalid_cameras_are_refused() {
     with("infinite.yaml", &CAMERA.replace("300.0, 0.0, 159.5", ".inf, 0.0, 79.5"), "infinite.yaml: ");
     with("negative.yaml", &CAMERA.replace("300.0, 0.0, 159.5", "-300.0, 0.0, 159.5"), "negative.yaml: ");
     with("other.yaml", &CAMERA.replace("image_width: 320", "image_width: 640"), "calibrated for 640x240");
+    let turned = CAMERA.replace("width: 320", "width: 240").replace("height: 240", "height: 320");
+    with(
+        "turned.yaml",
+        &turned,
+        "calibrated for 240x320; the recording is turned by 90° against the calibration",
+    );
     with("empty.yaml", "", "empty.yaml: the camera file is empty");
     with("text.yaml", "this is no camera", "text.yaml: ");
     with("broken.yaml", "{[", "broken.yaml: ");

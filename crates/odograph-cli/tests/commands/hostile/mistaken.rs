@@ -71,7 +71,7 @@ const CALLS: [(&str, i32, &str); 27] = [
     (
         "doctor drive.y4m --timestamps two.txt --camera camera.yaml --height 1",
         3,
-        "two.txt has 2 times, but there are more frames",
+        "two.txt has 2 times, but there are 12 frames",
     ),
     ("run --resume ran", 2, "odograph run ran/run.toml repeats it"),
 ];

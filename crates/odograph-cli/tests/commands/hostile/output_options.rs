@@ -21,13 +21,14 @@ enum Named {
 }
 
 /// Calls with the output as `@`.
-const CALLS: [(Named, &str); 25] = [
+const CALLS: [(Named, &str); 27] = [
     (Named::Folder, "run drive.y4m --camera camera.yaml --height 1 -o @"),
     (Named::Folder, "live drive.y4m --camera camera.yaml --height 1 -o @"),
     (Named::Folder, "localize drive.y4m --map map.gpkg -o @"),
     (Named::Folder, "simulate --duration 0.1 --size 64x48 -o @"),
     (Named::Folder, "simulate --duration 0.1 --size 64x48 --format y4m -o @"),
     (Named::Folder, "simulate --duration 0.1 --size 64x48 --format mjpeg -o @"),
+    (Named::Folder, "simulate --board chessboard:7x5:30mm --duration 0.1 --size 64x48 -o @"),
     (Named::Folder, "undistort drive.y4m --camera camera.yaml -o @"),
     (Named::Folder, "undistort drive.y4m --camera camera.yaml --format y4m -o @"),
     (Named::Folder, "demo -o @"),
@@ -47,6 +48,7 @@ const CALLS: [(Named, &str); 25] = [
     (Named::File("gpkg"), "map optimize map.gpkg -o @"),
     (Named::File("gpkg"), "map repair map.gpkg -o @"),
     (Named::Record("mcap"), "run drive.y4m --camera camera.yaml --height 1 -o new --bag-out @"),
+    (Named::Record("mcap"), "live drive.y4m --camera camera.yaml --height 1 -o new --mcap @"),
 ];
 
 /// Options without `--force`.
