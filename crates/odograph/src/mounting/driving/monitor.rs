@@ -132,8 +132,8 @@ impl CalibrationMonitor {
 
     /// Takes the next frame, the result of [`Odometry::process`], and its tracks. Returns the
     /// estimated calibration as soon as it differs significantly from the given one, or is clearly
-    /// more precise than the earlier estimate; one of nothing where more of the recording does not
-    /// bear out the earlier estimate.
+    /// more precise than the earlier estimate; one of nothing where more of the recording
+    /// contradicts the earlier estimate.
     pub fn watch(&mut self, frame: &FrameEstimate, odometry: &Odometry) -> Option<CalibrationUpdate> {
         self.collect(frame, odometry);
         if !self.is_due() {
@@ -184,8 +184,13 @@ impl CalibrationMonitor {
         let (tilt, lens) = self.measured()?;
         let mut found = CalibrationUpdate { pairs: self.driven.pairs(), ..CalibrationUpdate::default() };
         if self.driven.explains(&tilt) {
-            found.readout = tilt.readout.filter(|found| self.is_believed(found));
-            found.tilt = Some(tilt).filter(|tilt| self.differs_significantly(tilt));
+            let used = &self.in_use;
+            found.readout = tilt.readout.filter(|found| {
+                self.is_believed(found) || used.readout.is_some_and(|used| found.agrees_with(&used))
+            });
+            found.tilt = Some(tilt).filter(|tilt| {
+                self.differs_significantly(tilt) || used.tilt.as_ref().is_some_and(|used| agrees(tilt, used))
+            });
             found.lens = lens;
         }
         self.replaces(&found).then_some(found)
@@ -199,8 +204,10 @@ impl CalibrationMonitor {
         }
         let before = self.in_use.lens.as_ref().map_or(0, |lens| lens.coefficients.len());
         let found = self.driven.self_calibration(&self.given, before).ok()?;
+        let is_used =
+            |lens: &LensMeasurement| self.in_use.lens.as_ref().is_some_and(|used| lens.agrees_with(used));
         Some(match found.lens {
-            Some((lens, tilt)) if lens.is_significant() => (tilt, Some(lens)),
+            Some((lens, tilt)) if lens.is_significant() || is_used(&lens) => (tilt, Some(lens)),
             _ => (found.tilt, None),
         })
     }
@@ -250,6 +257,13 @@ fn changes<T>(used: &Option<T>, found: &Option<T>, is_better: impl Fn(&T, &T) ->
         (Some(used), Some(found)) => is_better(found, used),
         _ => used.is_some() != found.is_some(),
     }
+}
+
+/// Whether a tilt does not differ significantly from the one in use.
+fn agrees(found: &TiltMeasurement, used: &TiltMeasurement) -> bool {
+    let off = Vector2::new(found.roll_rad - used.roll_rad, found.pitch_rad - used.pitch_rad);
+    let information = (found.covariance + used.covariance).try_inverse();
+    information.is_some_and(|information| off.dot(&(information * off)) < MIN_SIGMAS * MIN_SIGMAS)
 }
 
 /// Whether a tilt is clearly more precise than the one in use, and different from it.

@@ -54,6 +54,11 @@ impl ReadoutMeasurement {
             && self.deviation_s < MAX_RELATIVE_SIGMA * self.readout_s.abs()
     }
 
+    /// Whether it does not differ significantly from the one in use.
+    pub(super) fn agrees_with(&self, used: &Self) -> bool {
+        (self.readout_s - used.readout_s).abs() < MIN_SIGMAS * self.deviation_s.hypot(used.deviation_s)
+    }
+
     /// Whether it is clearly more precise than an earlier estimate, and different from it.
     pub fn is_better_than(&self, before: &Self) -> bool {
         (self.readout_s - before.readout_s).abs() > MIN_CHANGE_S
