@@ -75,11 +75,6 @@ impl LensMeasurement {
             && self.deviation_px < MAX_SIGMA_PX.min(MAX_SCATTER * self.off_px)
     }
 
-    /// Whether it does not differ significantly from the one in use.
-    pub(super) fn agrees_with(&self, used: &Self) -> bool {
-        self.off_from_px(&used.camera) < PARAMETER_SIGMAS * self.deviation_px.hypot(used.deviation_px)
-    }
-
     /// Whether it is clearly more precise than the estimate in use, or far from it, and different.
     pub(super) fn is_better_than(&self, used: &Self) -> bool {
         let off_px = self.off_from_px(&used.camera);

@@ -182,17 +182,16 @@ impl CalibrationMonitor {
             return None;
         }
         let (tilt, lens) = self.measured()?;
-        let mut found = CalibrationUpdate { pairs: self.driven.pairs(), ..CalibrationUpdate::default() };
-        if self.driven.explains(&tilt) {
-            let used = &self.in_use;
-            found.readout = tilt.readout.filter(|found| {
-                self.is_believed(found) || used.readout.is_some_and(|used| found.agrees_with(&used))
-            });
-            found.tilt = Some(tilt).filter(|tilt| {
-                self.differs_significantly(tilt) || used.tilt.as_ref().is_some_and(|used| agrees(tilt, used))
-            });
-            found.lens = lens;
-        }
+        let (used, explains) = (&self.in_use, self.driven.explains(&tilt));
+        let readout = tilt.readout.filter(|found| {
+            explains && self.is_believed(found) || used.readout.is_some_and(|used| found.agrees_with(&used))
+        });
+        let tilt = Some(tilt).filter(|tilt| {
+            explains && self.differs_significantly(tilt)
+                || used.tilt.as_ref().is_some_and(|used| agrees(tilt, used))
+        });
+        let lens = lens.filter(|_| explains);
+        let found = CalibrationUpdate { tilt, readout, lens, pairs: self.driven.pairs() };
         self.replaces(&found).then_some(found)
     }
 
@@ -204,10 +203,8 @@ impl CalibrationMonitor {
         }
         let before = self.in_use.lens.as_ref().map_or(0, |lens| lens.coefficients.len());
         let found = self.driven.self_calibration(&self.given, before).ok()?;
-        let is_used =
-            |lens: &LensMeasurement| self.in_use.lens.as_ref().is_some_and(|used| lens.agrees_with(used));
         Some(match found.lens {
-            Some((lens, tilt)) if lens.is_significant() || is_used(&lens) => (tilt, Some(lens)),
+            Some((lens, tilt)) if lens.is_significant() => (tilt, Some(lens)),
             _ => (found.tilt, None),
         })
     }
