@@ -1,7 +1,7 @@
 //! Many recordings, processed by any number of workers on any number of machines that share a
 //! folder: each recording by one worker at a time, and not again once it is done.
 //!
-//! The results folder has a folder `.batch` with the [manifest](manifest), a file for each attempt
+//! The results folder has a folder `.batch` with the [manifest], a file for each attempt
 //! at a recording, and a [lease](worker) of each worker. A recording is run in a folder of its own,
 //! `NAME.part-N`, whose files are moved to their place at the end: a worker that was believed dead
 //! and wakes up disturbs nobody.
