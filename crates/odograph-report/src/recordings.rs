@@ -116,7 +116,7 @@ fn failures(results: &[RecordingResult]) -> Vec<String> {
 fn table(results: &[RecordingResult], page: &mut String) {
     page.push_str(
         "<h2>Every recording</h2>\n<div class=\"box scroll\"><table class=\"figures\"><tr><th>Recording</th>\
-         <th>was</th><th class=\"number\">Distance</th><th class=\"number\">Duration</th>\
+         <th>Status</th><th class=\"number\">Distance</th><th class=\"number\">Duration</th>\
          <th class=\"number\">With a pose</th><th class=\"number\">Losses</th><th class=\"number\">Loops</th>\
          <th class=\"number\">Warnings</th></tr>\n",
     );
