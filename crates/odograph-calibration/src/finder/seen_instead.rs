@@ -41,7 +41,7 @@ const GAPS: [f64; 5] = [0.3, 0.25, 0.2, 0.4, 0.5];
 const WINDOWS: [(usize, f64); 3] = [(2, 0.3), (1, 0.1), (2, 0.7)];
 
 /// The board that `images` show instead of `expected`: a chessboard, a circle grid or a board with
-/// markers, of any count and dictionary. `None` if none is found in at least one of them.
+/// markers, of any count and dictionary. `None` if no picture shows one.
 ///
 /// Takes about as long as looking for ten boards in every image: meant for a few images, after a
 /// search that has failed.

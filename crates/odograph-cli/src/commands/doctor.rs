@@ -1,10 +1,10 @@
 //! `odograph doctor`: what will limit the accuracy of a recording, and what to change.
 
+use super::frame_selection::FrameTimes;
 use super::run::{CameraSetup, ConsoleObserver, ProfileChoice};
 use crate::{Outcome, console};
 use odograph::error::{Error, Result};
 use odograph_session::{Diagnosis, Finding, Judgement, RunBuilder, SourcePlan};
-use std::path::PathBuf;
 
 /// Say what limits the accuracy of a recording, and what to change.
 ///
@@ -24,18 +24,8 @@ pub struct DoctorArguments {
     /// Topic with the images, where a robot recording (MCAP, ROS bag) has several.
     #[arg(help_heading = "Recording", long, value_name = "NAME")]
     topic: Option<String>,
-    /// Times of the frames: lines of `seconds name`, or EuRoC's CSV in nanoseconds.
-    #[arg(help_heading = "Recording", long, value_name = "FILE")]
-    timestamps: Option<PathBuf>,
-    /// Frames a second, where the source does not say.
-    #[arg(
-        help_heading = "Recording",
-        long,
-        value_name = "RATE",
-        allow_negative_numbers = true,
-        conflicts_with = "timestamps"
-    )]
-    fps: Option<f64>,
+    #[command(flatten)]
+    times: FrameTimes,
     /// Print JSON to standard output.
     #[arg(long)]
     json: bool,
@@ -58,8 +48,8 @@ pub fn doctor(arguments: DoctorArguments) -> Result<Outcome> {
     setup.question(arguments.quiet);
     let source = SourcePlan {
         topic: arguments.topic,
-        timestamps: arguments.timestamps,
-        fps: arguments.fps,
+        timestamps: arguments.times.timestamps,
+        fps: arguments.times.fps,
         ..SourcePlan::new(&arguments.file)
     };
     let diagnosis = setup.of_run(RunBuilder::over(source)).examine(&ConsoleObserver::new(arguments.quiet))?;

@@ -3,12 +3,12 @@
 use odograph_video::SourceOptions;
 use std::path::PathBuf;
 
-/// Which frames of a recording are taken, and when they were.
+/// When the frames of a recording were taken.
 #[derive(Debug, Clone, clap::Args)]
-pub struct FrameSelection {
+pub struct FrameTimes {
     /// Times of the frames: lines of `seconds name`, or EuRoC's CSV in nanoseconds.
     #[arg(help_heading = "Recording", long, value_name = "FILE")]
-    timestamps: Option<PathBuf>,
+    pub timestamps: Option<PathBuf>,
     /// Frame rate, if the source does not state it.
     #[arg(
         help_heading = "Recording",
@@ -17,7 +17,14 @@ pub struct FrameSelection {
         allow_negative_numbers = true,
         conflicts_with = "timestamps"
     )]
-    fps: Option<f64>,
+    pub fps: Option<f64>,
+}
+
+/// Which frames of a recording are taken, and when they were.
+#[derive(Debug, Clone, clap::Args)]
+pub struct FrameSelection {
+    #[command(flatten)]
+    times: FrameTimes,
     /// Begin this many seconds after the first frame.
     #[arg(help_heading = "Recording", long, value_name = "SECONDS", allow_negative_numbers = true)]
     start: Option<f64>,
@@ -36,8 +43,8 @@ impl FrameSelection {
     /// The same for the source.
     pub fn source_options(&self) -> SourceOptions {
         SourceOptions {
-            timestamps: self.timestamps.clone(),
-            fps: self.fps,
+            timestamps: self.times.timestamps.clone(),
+            fps: self.times.fps,
             start_s: self.start,
             end_s: self.end,
             every: self.every,

@@ -1,5 +1,6 @@
 //! `odograph localize`: finds a camera in an existing map.
 
+use super::frame_selection::FrameTimes;
 use super::run::{
     CameraSetup, ConsoleObserver, LogArguments, Motion, PoseFrameName, ProfileChoice, tell_warnings,
 };
@@ -48,18 +49,8 @@ pub struct LocalizeArguments {
     /// What may change between frames.
     #[arg(help_heading = "Map", long, value_name = "MODEL", default_value = "auto")]
     pub motion: Motion,
-    /// Times of the frames: lines of `seconds name`, or EuRoC's CSV in nanoseconds.
-    #[arg(help_heading = "Recording", long, value_name = "FILE")]
-    pub timestamps: Option<PathBuf>,
-    /// Frame rate, if the source does not state it.
-    #[arg(
-        help_heading = "Recording",
-        long,
-        value_name = "RATE",
-        allow_negative_numbers = true,
-        conflicts_with = "timestamps"
-    )]
-    pub fps: Option<f64>,
+    #[command(flatten)]
+    pub times: FrameTimes,
     /// Take at most this many frames.
     #[arg(help_heading = "Recording", long, value_name = "N")]
     pub max_frames: Option<u64>,
@@ -96,8 +87,8 @@ pub fn localize(arguments: LocalizeArguments) -> Result<Outcome> {
     // An unreadable map is reported before any output is created.
     drop(MapFile::open_read_only(&arguments.map)?);
     let source = SourcePlan {
-        timestamps: arguments.timestamps.clone(),
-        fps: arguments.fps,
+        timestamps: arguments.times.timestamps.clone(),
+        fps: arguments.times.fps,
         max_frames: arguments.max_frames,
         ..SourcePlan::new(&arguments.source)
     };

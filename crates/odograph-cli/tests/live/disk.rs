@@ -91,8 +91,10 @@ fn a_nearly_full_disk_stops_recording_but_not_tracking() {
     assert!(whole > 10 && whole + 1 >= table.lines().count(), "{whole}");
 }
 
-#[test]
-fn a_log_too_large_for_its_disk_fails_the_run_and_costs_no_trajectory() {
+/// Tracks a drive of four seconds with one output on a disk that is too small for it, which fails
+/// the run and costs no trajectory. Returns what the program said; `None` where no disk can
+/// be mounted.
+fn tracked_onto_a_small_disk(subcommand: &str, option: &str, file: &str) -> Option<String> {
     let place = LiveFolder::new();
     write_uncompressed(&place.path("drive.y4m"));
     std::fs::create_dir(place.path("disk")).unwrap();
@@ -100,41 +102,34 @@ fn a_log_too_large_for_its_disk_fails_the_run_and_costs_no_trajectory() {
         Ok(disk) => disk,
         Err(why) => {
             println!("skipped: mount: {why}");
-            return;
+            return None;
         }
     };
-    let done = place.command("live", "drive.y4m --mcap disk/log.mcap -o out --quiet").output().unwrap();
-    let outcome = String::from_utf8_lossy(&done.stderr);
+    let done =
+        place.command(subcommand, &format!("drive.y4m {option} {file} -o out --quiet")).output().unwrap();
+    let outcome = String::from_utf8_lossy(&done.stderr).into_owned();
     assert_eq!(done.status.code(), Some(3), "{outcome}");
+    assert!(outcome.contains(file), "{outcome}");
+    let table = String::from_utf8(place.read("out/trajectory.csv")).unwrap();
+    assert_eq!(json!(table.lines().count() - 1), statistics(&place.path("out"))["frames"]);
+    // All 121 frames.
+    assert!(table.lines().count() > 120 && place.path("out/report.html").is_file(), "{table}");
+    // Nothing half-written has the name that was asked for; what there was is beside it.
+    if option == "--mcap" {
+        assert!(!place.path(file).exists() && place.path(&format!("{file}.part")).exists());
+    }
+    Some(outcome)
+}
+
+#[test]
+fn a_log_too_large_for_its_disk_fails_the_run_and_costs_no_trajectory() {
+    let Some(outcome) = tracked_onto_a_small_disk("live", "--mcap", "disk/log.mcap") else { return };
     let errors: Vec<&str> = outcome.lines().filter(|line| line.starts_with("error: ")).collect();
     assert!(errors.len() == 1 && errors[0].contains("disk/log.mcap"), "{outcome}");
     assert!(errors[0].contains("No space left on device"), "{outcome}");
-    // Nothing half-written has the name that was asked for; what there was is beside it.
-    assert!(!place.path("disk/log.mcap").exists() && place.path("disk/log.mcap.part").exists());
-    let table = String::from_utf8(place.read("out/trajectory.csv")).unwrap();
-    assert_eq!(json!(table.lines().count() - 1), statistics(&place.path("out"))["frames"]);
-    // All 121 frames of four seconds.
-    assert!(table.lines().count() > 120 && place.path("out/report.html").is_file(), "{table}");
 }
 
 #[test]
 fn a_map_too_large_for_its_disk_costs_no_trajectory() {
-    let place = LiveFolder::new();
-    write_uncompressed(&place.path("drive.y4m"));
-    std::fs::create_dir(place.path("disk")).unwrap();
-    let _disk = match SmallDisk::mount(&place.path("disk"), 300 << 10) {
-        Ok(disk) => disk,
-        Err(why) => {
-            println!("skipped: mount: {why}");
-            return;
-        }
-    };
-    let done = place.command("run", "drive.y4m --map disk/map.gpkg -o out --quiet").output().unwrap();
-    let outcome = String::from_utf8_lossy(&done.stderr);
-    assert_eq!(done.status.code(), Some(3), "{outcome}");
-    assert!(outcome.contains("disk/map.gpkg"), "{outcome}");
-    let table = String::from_utf8(place.read("out/trajectory.csv")).unwrap();
-    assert_eq!(json!(table.lines().count() - 1), statistics(&place.path("out"))["frames"]);
-    // All 121 frames of four seconds.
-    assert!(table.lines().count() > 120 && place.path("out/report.html").is_file(), "{table}");
+    tracked_onto_a_small_disk("run", "--map", "disk/map.gpkg");
 }

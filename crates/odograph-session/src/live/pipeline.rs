@@ -309,7 +309,7 @@ impl Following<'_, '_> {
         if let Some(calibration) = &mut self.calibration
             && calibration.watch(&estimate, &mut self.odometry)?
         {
-            let (next, rig) = (frame.number + 1, *calibration.rig());
+            let (next, rig) = (frame.number + 1, calibration.rig());
             self.of.recalibrate(next, &rig);
             self.recalibrated.push((next, rig));
         }

@@ -60,7 +60,7 @@ Examples:
   odograph board --board charuco:8x11:20mm -o board.pdf
   odograph board --board chessboard:9x6:40mm --paper a2 -o board.svg";
 
-/// Resolution of a PNG where none is given, pixels per inch.
+/// Default resolution of a PNG, pixels per inch.
 const DPI: u16 = 300;
 
 /// The format, by the extension of the file.

@@ -35,7 +35,7 @@ pub struct BoardSearch {
 pub struct ImageSample {
     pub images: Vec<GrayImage>,
     offered: u64,
-    /// One in so many is kept; 0 before the first.
+    /// Every n-th is kept; 0 before the first.
     every: u64,
 }
 

@@ -6,6 +6,7 @@ mod mounted_camera;
 mod sensors;
 mod summary;
 
+use super::frame_selection::FrameTimes;
 use super::site::SiteLinkArguments;
 use crate::{Outcome, console, files};
 use console_observer::Progress;
@@ -41,18 +42,8 @@ pub struct RunArguments {
     /// Topic with the images, where a robot recording (MCAP, ROS bag) has several.
     #[arg(help_heading = "Recording", long, value_name = "NAME")]
     pub topic: Option<String>,
-    /// Times of the frames: lines of `seconds name`, or EuRoC's CSV in nanoseconds.
-    #[arg(help_heading = "Recording", long, value_name = "FILE")]
-    pub timestamps: Option<PathBuf>,
-    /// Frames a second, where the source does not say.
-    #[arg(
-        help_heading = "Recording",
-        long,
-        value_name = "RATE",
-        allow_negative_numbers = true,
-        conflicts_with = "timestamps"
-    )]
-    pub fps: Option<f64>,
+    #[command(flatten)]
+    pub times: FrameTimes,
     /// Begin this many seconds after the first frame.
     #[arg(help_heading = "Recording", long, value_name = "SECONDS", allow_negative_numbers = true)]
     pub start: Option<f64>,
@@ -247,8 +238,8 @@ impl RunArguments {
     fn fresh(&self, source: &str) -> RunBuilder {
         let source = SourcePlan {
             topic: self.topic.clone(),
-            timestamps: self.timestamps.clone(),
-            fps: self.fps,
+            timestamps: self.times.timestamps.clone(),
+            fps: self.times.fps,
             start_s: self.start,
             end_s: self.end,
             every: self.every,
@@ -288,8 +279,8 @@ impl RunArguments {
             ("--mask", setup.mask.is_some()),
             ("--motion", self.mounted.motion != Motion::Auto),
             ("--topic", self.topic.is_some()),
-            ("--timestamps", self.timestamps.is_some()),
-            ("--fps", self.fps.is_some()),
+            ("--timestamps", self.times.timestamps.is_some()),
+            ("--fps", self.times.fps.is_some()),
             ("--start", self.start.is_some()),
             ("--end", self.end.is_some()),
             ("--every", self.every != 1),

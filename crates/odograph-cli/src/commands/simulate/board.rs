@@ -12,7 +12,7 @@ use odograph_calibration::Board;
 use odograph_simulation::{BoardEffects, BoardRecording, BoardScene, Effects};
 use serde::Serialize;
 
-/// Duration where none is given, seconds: what the guide asks of a person.
+/// Default duration, seconds: what the guide asks of a person.
 const DURATION_S: f64 = 30.0;
 
 /// Options of a drive, which a board in front of a camera does not have.

@@ -76,7 +76,7 @@ pub struct SimulationOutput {
 }
 
 impl SimulationOutput {
-    /// Creates the folder for so many frames; fails if an earlier run's files would be lost, unless
+    /// Creates the folder for a number of frames; fails if an earlier run's files would be lost, unless
     /// that is allowed.
     pub fn prepared(arguments: &SimulateArguments, format: FormatName, frames: usize) -> Result<Self> {
         let folder = arguments.output.clone().unwrap_or_else(|| files::free_beside("simulation", ""));

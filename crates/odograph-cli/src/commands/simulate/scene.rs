@@ -131,7 +131,7 @@ pub fn from_arguments(arguments: &SimulateArguments) -> Result<(SimulationConfig
     Ok((config, parameters))
 }
 
-/// Width of the ground that a photograph shows where none is given, metres.
+/// Default width of the ground that a photograph shows, metres.
 const PHOTO_WIDTH_M: f64 = 2.0;
 
 fn or_default<T: Copy>(given: &[T], default: T) -> Vec<T> {

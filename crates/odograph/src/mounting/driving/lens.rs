@@ -9,7 +9,7 @@
 //! length itself is not observable: over level ground it is equivalent to the height.
 
 use super::bundle::{self, LENS_START, LensUnknowns, Solved};
-use super::{DrivenTilt, TiltMeasurement};
+use super::{DrivenTilt, MAX_SIGMA_RATIO, TiltMeasurement};
 use crate::camera::uncertainty::parameter;
 use crate::camera::{Camera, Distortion, Rig};
 use crate::error::Result;
@@ -58,9 +58,6 @@ const MIN_OFF_PX: f64 = 0.03;
 /// Largest standard deviation of a usable estimate at the edge of the image, pixels: the error of a
 /// poor calibration.
 const MAX_SIGMA_PX: f64 = 0.5;
-
-/// A better estimate is used if its standard deviation is smaller by this factor.
-const MAX_SIGMA_RATIO: f64 = 0.8;
 
 /// Largest scatter between keyframes, as a fraction of the difference: above it, the cause is not
 /// the lens.

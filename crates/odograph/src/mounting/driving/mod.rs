@@ -213,6 +213,9 @@ impl MeanSquare {
     }
 }
 
+/// A new estimate replaces the one in use if its standard deviation is smaller by this factor.
+const MAX_SIGMA_RATIO: f64 = 0.8;
+
 /// Fewer keyframes do not determine their scatter.
 const MIN_KEYFRAMES: usize = 4;
 

@@ -7,7 +7,10 @@
 //! hundredth of a pixel on well-textured ground. A recording is then tracked again with what was
 //! found.
 
-use super::{DrivenTilt, DrivingConfig, LensMeasurement, Observability, ReadoutMeasurement, TiltMeasurement};
+use super::{
+    DrivenTilt, DrivingConfig, LensMeasurement, MAX_SIGMA_RATIO, Observability, ReadoutMeasurement,
+    TiltMeasurement,
+};
 use crate::camera::{Camera, Rig};
 use crate::geometry::GroundPose;
 use crate::motion::Readout;
@@ -270,10 +273,8 @@ fn is_better(found: &TiltMeasurement, used: &TiltMeasurement) -> bool {
     off >= MIN_CHANGE_RAD && worst(found) < MAX_SIGMA_RATIO * MAX_SIGMA_RATIO * worst(used)
 }
 
-/// A better estimate is used if it differs by this much, radians, and its standard deviation is
-/// smaller by this factor.
+/// A better tilt is used if it differs by this much, radians.
 const MIN_CHANGE_RAD: f64 = 5e-5;
-const MAX_SIGMA_RATIO: f64 = 0.8;
 
 /// Standard deviations from zero from which a readout time is worth a check.
 const ROLLING_SIGMAS: f64 = 1.5;

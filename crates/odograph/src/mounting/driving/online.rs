@@ -17,7 +17,6 @@ use std::thread::{self, JoinHandle};
 #[derive(Debug)]
 pub struct OnlineCalibration {
     given: (Camera, Rig),
-    rig: Rig,
     watch: CalibrationMonitor,
     solving: Option<Solving>,
     found: Option<CalibrationUpdate>,
@@ -39,7 +38,7 @@ impl OnlineCalibration {
     pub fn new(camera: &Camera, rig: &Rig, lens_is_known: bool) -> Self {
         let watch = CalibrationMonitor::new(camera, rig);
         let watch = if lens_is_known { watch.with_lens_known() } else { watch };
-        Self { given: (camera.clone(), *rig), rig: *rig, watch, solving: None, found: None }
+        Self { given: (camera.clone(), *rig), watch, solving: None, found: None }
     }
 
     /// Takes the next frame, the result of [`Odometry::process`]. Returns whether the odometry was
@@ -61,13 +60,13 @@ impl OnlineCalibration {
         // A solver that panicked has found nothing.
         let Some(found) = solving.result.join().ok().flatten() else { return Ok(false) };
         let (camera, rig) = &self.given;
-        self.rig = found.rig(rig);
+        let rig = found.rig(rig);
         let had_tilt = self.found().is_some_and(|found| found.tilt.is_some());
         let covariance = match &found.tilt {
             Some(tilt) => Some(tilt.covariance),
             None => had_tilt.then(RigPriorEstimator::unknown_mount_tilt),
         };
-        odometry.recalibrate(found.camera(camera), covariance.map(|covariance| (&self.rig, covariance)))?;
+        odometry.recalibrate(found.camera(camera), covariance.map(|covariance| (&rig, covariance)))?;
         self.watch = self.watch.after(&found);
         self.found = Some(found);
         Ok(true)
@@ -83,8 +82,9 @@ impl OnlineCalibration {
     }
 
     /// The rig that is in use.
-    pub fn rig(&self) -> &Rig {
-        &self.rig
+    pub fn rig(&self) -> Rig {
+        let given = &self.given.1;
+        self.found.as_ref().map_or(*given, |found| found.rig(given))
     }
 
     /// The estimated calibration that is in use; `None` while the given one is.

@@ -1,5 +1,6 @@
 //! The readout time of a rolling shutter, estimated from driving.
 
+use super::MAX_SIGMA_RATIO;
 use super::bundle::{READOUT, Solved};
 use crate::numerics::Combined;
 
@@ -66,7 +67,5 @@ impl ReadoutMeasurement {
     }
 }
 
-/// A better estimate is used if it differs by this much, seconds, and its standard deviation is
-/// smaller by this factor.
+/// A better readout time is used if it differs by this much, seconds.
 const MIN_CHANGE_S: f64 = 2e-5;
-const MAX_SIGMA_RATIO: f64 = 0.8;

@@ -49,7 +49,7 @@ pub fn recordings(arguments: &RunArguments) -> Result<Option<Vec<Recording>>> {
         }
     }
     let one_alone = [
-        ("--timestamps", arguments.timestamps.is_some()),
+        ("--timestamps", arguments.times.timestamps.is_some()),
         ("--gyro, --heading, --wheel, --range or a topic of them", !arguments.sensors.files().is_empty()),
         ("--reference", arguments.reference.is_some()),
         ("--progress json", arguments.progress == Progress::Json),
