@@ -76,8 +76,8 @@ pub struct SimulationOutput {
 }
 
 impl SimulationOutput {
-    /// Creates the folder for a number of frames; fails if an earlier run's files would be lost, unless
-    /// that is allowed.
+    /// Creates the folder for a number of frames; fails if an earlier run's files would be lost,
+    /// unless that is allowed.
     pub fn prepared(arguments: &SimulateArguments, format: FormatName, frames: usize) -> Result<Self> {
         let folder = arguments.output.clone().unwrap_or_else(|| files::free_beside("simulation", ""));
         files::check_output_names(&folder, &ours().collect::<Vec<_>>(), arguments.force)?;

@@ -134,9 +134,9 @@ struct UnevenFactors {
 /// third; motion blur made that a half.
 const UNEVEN_FACTORS: UnevenFactors = UnevenFactors { over_plane: 4.0, over_tilt: 2.0 };
 
-/// The same where what is left is the noise of the images, which is known; by chance it is √2 over a
-/// plane. A compromise, chosen on three drives and a gate row: undulating ground under noise of 4
-/// gray levels is missed at 3.2, and blur of 33 ms passes for relief in single frames below that.
+/// The same where what is left is the noise of the images, which is known; by chance it is √2 over
+/// a plane. A compromise, chosen on three drives and a gate row: undulating ground under noise of
+/// 4 gray levels is missed at 3.2, and blur of 33 ms passes for relief in single frames below.
 const OVER_NOISE: UnevenFactors = UnevenFactors { over_plane: 2.8, over_tilt: 1.8 };
 
 /// Residuals up to this multiple of what the images predict are noise. Measured: 0.8 to 1.3 on
