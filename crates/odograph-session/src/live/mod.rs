@@ -40,7 +40,7 @@ mod source;
 mod map_frame;
 
 pub use capturing::{FAREWELL, FRAMES_WAITING, Farewell, PATIENCE, STATUS_EVERY, capture};
-pub use map_graph::map_graph;
+pub use map_graph::{map_graph, map_markers};
 pub use recorder::folder_name_now;
 pub use sinks::{LiveFrame, PoseSink};
 pub use source::{CaptureOptions, LiveInput, open_live_input};

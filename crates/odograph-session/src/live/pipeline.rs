@@ -43,8 +43,8 @@ const RENDERING_QUEUE: usize = 4;
 /// Length of the queue to the map. No keyframe may be dropped, so tracking waits when the map is
 /// this far behind; longer waits later but needs more memory.
 const MAPPING_QUEUE: usize = 32;
-/// Queue length from which the map of a camera suspends loop search until the queue is empty:
-/// without it the map is faster than keyframes can come.
+/// Queue length from which the map of a camera suspends the search for loops and markers until the
+/// queue is empty: without it the map is faster than keyframes can come.
 const BEHIND: usize = 8;
 
 /// Tracks a source until it ends or the run is asked to end, then writes everything.
@@ -252,7 +252,7 @@ impl Following<'_, '_> {
                     let made = |event: &&KeyframeEvent| matches!(event, KeyframeEvent::Made(_));
                     not_compared +=
                         if is_suspended { happened.events.iter().filter(made).count() as u64 } else { 0 };
-                    mapping.suspend_loop_search(is_suspended);
+                    mapping.suspend_search(is_suspended);
                     // A map that cannot be written (full disk) ends; tracking continues.
                     if failure.is_none() {
                         failure = mapping.take(happened.events, happened.frame.as_ref()).err();
@@ -272,6 +272,7 @@ impl Following<'_, '_> {
                 self.track_all(beside)
             };
             let ended = mapper.join();
+                            updates.publish_markers(mapping);
             (self.unmapped, self.not_compared) =
                 ended.unwrap_or_else(|_| (Some(Error::output("the map ended unexpectedly")), 0));
             outcome

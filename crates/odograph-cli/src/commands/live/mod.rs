@@ -6,7 +6,7 @@ mod outputs;
 mod ros2;
 mod serving;
 
-use super::run::{ConsoleObserver, LogArguments, MountedCameraArguments, print_summary};
+use super::run::{ConsoleObserver, LogArguments, MarkerArguments, MountedCameraArguments, print_summary};
 use super::site::SiteLinkArguments;
 use crate::{Outcome, interrupt};
 pub use capture_arguments::CaptureArguments;
@@ -40,6 +40,8 @@ pub struct LiveArguments {
     pub capture: CaptureArguments,
     #[command(flatten)]
     pub ros2: Ros2Arguments,
+    #[command(flatten)]
+    pub markers: MarkerArguments,
     #[command(flatten)]
     pub serve: ServeArguments,
     /// Print a line of JSON for each frame to standard output.
@@ -93,7 +95,7 @@ impl LiveArguments {
         let source = SourcePlan { fps: self.capture.fps, ..SourcePlan::new(&self.source) };
         let run = RunBuilder::over(source).folder(folder).overwriting(self.force).reporter(HtmlReporter);
         let run = self.site.robot.iter().fold(run, RunBuilder::robot);
-        self.mounted.of_run(run)
+        self.markers.of_run(self.mounted.of_run(run))
     }
 }
 
