@@ -9,7 +9,7 @@ use crate::markers::{self, MapMarker};
 use crate::numbers::{bytes_from_symmetric, symmetric_from_bytes};
 use crate::origin;
 use crate::paths::{self, KeyframeMove, PathFrame, corrected_path};
-use crate::pose_columns::pose_from;
+use crate::pose_columns::{is_pose, pose_from};
 use crate::row_order::in_order;
 use nalgebra::Matrix6;
 use odograph::error::Result;
@@ -304,12 +304,6 @@ impl MapFile {
             .while_reading(&self.complaint)?
             .ok_or_else(|| self.complaint.damage(format!("the image of keyframe {} is missing", keyframe.0)))
     }
-}
-
-pub(crate) fn is_pose(pose: &GroundPose) -> bool {
-    let GroundPose { x_m, y_m, heading_rad, height_m, roll_rad, pitch_rad } = *pose;
-    [x_m, y_m, heading_rad, height_m, roll_rad, pitch_rad].iter().all(|v| v.is_finite() && v.abs() < 1e12)
-        && height_m > 0.0
 }
 
 /// Inserts a keyframe with its signature and image.

@@ -1,25 +1,19 @@
-//! Markers on the ground that keyframes have seen: a layer of its own, which only maps with markers
-//! have.
+//! The layer of the markers that keyframes have seen, which only maps with markers have: its rows.
 
-use crate::complaint::WithContext;
-use crate::file::MapFile;
 use crate::geopackage::{self, Extent, point_geometry};
-use crate::keyframes::is_pose;
 use crate::numbers::{bytes_from_symmetric, symmetric_from_bytes};
-use crate::pose_columns::pose_from;
+use crate::pose_columns::{is_pose, pose_from};
 use crate::row_order::in_order;
 use crate::schema;
 use nalgebra::{Matrix3, Matrix6};
-use odograph::error::Result;
 use odograph::geometry::Se2;
 use odograph::ground_map::MapKeyframe;
 use odograph::keyframe::KeyframeId;
 use odograph::landmark::{MarkerSighting, PlacedSighting};
 use odograph::place_recognition::Signature;
 use rusqlite::{Connection, Row, params};
-use std::collections::{BTreeMap, BTreeSet};
 
-const NAME: &str = "marker_sightings";
+pub(crate) const NAME: &str = "marker_sightings";
 
 const TABLE: &str = "CREATE TABLE marker_sightings (id INTEGER PRIMARY KEY AUTOINCREMENT NOT NULL, geom POINT NOT NULL, \
                      family TEXT NOT NULL, number INTEGER NOT NULL, size_m DOUBLE NOT NULL, place INTEGER NOT NULL, \
@@ -64,119 +58,9 @@ pub struct MapMarker {
     pub covariance: Matrix3<f64>,
 }
 
-/// A marker at a place, as all its sightings have it.
-#[derive(Debug, Clone, PartialEq)]
-pub struct MapLandmark {
-    /// Family and dictionary, such as `apriltag:36h11`.
-    pub family: String,
-    /// Side of its black square as stated, metres.
-    pub size_m: f64,
-    /// Its number.
-    pub number: u32,
-    /// Where it is in the map: the mean of its sightings.
-    pub pose: Se2,
-    /// Standard deviation of x and y, by the best of its sightings, metres.
-    pub sigma_m: f64,
-    /// Number of its sightings.
-    pub sightings: usize,
-    /// The sessions that have seen it, in order.
-    pub sessions: Vec<u32>,
-    /// Time of its last sighting in its session, seconds.
-    pub last_s: f64,
-}
-
-impl MapLandmark {
-    fn of(seen: &[&MapMarker]) -> Option<Self> {
-        let (first, last) = (seen.first()?, seen.last()?);
-        let mean = |value: &dyn Fn(&Se2) -> f64| {
-            seen.iter().map(|marker| value(&marker.pose)).sum::<f64>() / seen.len() as f64
-        };
-        let heading_rad = mean(&|pose| pose.heading_rad.sin()).atan2(mean(&|pose| pose.heading_rad.cos()));
-        let sigma_m = |marker: &&MapMarker| {
-            (0.5 * (marker.covariance[(0, 0)] + marker.covariance[(1, 1)])).max(0.0).sqrt()
-        };
-        let sessions: BTreeSet<u32> = seen.iter().map(|marker| marker.session).collect();
-        Some(Self {
-            family: first.family.clone(),
-            size_m: first.size_m,
-            number: first.placed.sighting.number,
-            pose: Se2::new(mean(&|pose| pose.x_m), mean(&|pose| pose.y_m), heading_rad),
-            sigma_m: seen.iter().map(sigma_m).fold(f64::INFINITY, f64::min),
-            sightings: seen.len(),
-            sessions: sessions.into_iter().collect(),
-            last_s: last.time_s,
-        })
-    }
-}
-
-impl MapFile {
-    /// The places of the markers, by family, size and number. Fails as [`MapFile::markers`].
-    pub fn landmarks(&self) -> Result<Vec<MapLandmark>> {
-        let markers = self.markers()?;
-        let mut of_place: BTreeMap<(&str, u64, u32, usize), Vec<&MapMarker>> = BTreeMap::new();
-        for marker in &markers {
-            let PlacedSighting { sighting, place, .. } = &marker.placed;
-            // Positive numbers are in the order of their bits.
-            let key = (marker.family.as_str(), marker.size_m.to_bits(), sighting.number, *place);
-            of_place.entry(key).or_default().push(marker);
-        }
-        Ok(of_place.values().filter_map(|seen| MapLandmark::of(seen)).collect())
-    }
-
-    /// The markers in the order in which they were seen; none in a map without them. Fails if one
-    /// has a value that cannot be, or its keyframe is missing.
-    pub fn markers(&self) -> Result<Vec<MapMarker>> {
-        if !is_there(&self.connection).while_reading(&self.complaint)? {
-            return Ok(Vec::new());
-        }
-        let stored = stored(&self.connection, 0).while_reading(&self.complaint)?;
-        let marker = |(stored, keyframe): (StoredMarker, Option<(MapKeyframe, Vec<u8>)>)| {
-            let row = stored.row;
-            marker_by(stored, keyframe)
-                .map_err(|what| self.complaint.damage(format!("row {row} of {NAME} {what}")))
-        };
-        stored.into_iter().map(marker).collect()
-    }
-
-    /// Adds sightings of markers of a family (such as `apriltag:36h11`) and a size, metres, by
-    /// keyframes of the map. All are stored when this returns, or none.
-    pub fn add_markers(&mut self, family: &str, size_m: f64, sightings: &[PlacedSighting]) -> Result<()> {
-        if sightings.is_empty() {
-            return Ok(());
-        }
-        let transaction = self.connection.transaction().while_writing(&self.complaint)?;
-        insert(&transaction, family, size_m, sightings)
-            .and_then(|first| place(&transaction, first))
-            .and_then(|()| transaction.commit())
-            .while_writing(&self.complaint)
-    }
-
-    /// Replaces the sightings of a session, as [`MapFile::add_markers`] adds them.
-    pub fn set_markers(
-        &mut self,
-        session: u32,
-        family: &str,
-        size_m: f64,
-        sightings: &[PlacedSighting],
-    ) -> Result<()> {
-        let transaction = self.connection.transaction().while_writing(&self.complaint)?;
-        (|| {
-            if is_there(&transaction)? {
-                transaction.execute("DELETE FROM marker_sightings WHERE session = ?1", [session])?;
-            }
-            if !sightings.is_empty() {
-                insert(&transaction, family, size_m, sightings)?;
-            }
-            place(&transaction, 0)?;
-            transaction.commit()
-        })()
-        .while_writing(&self.complaint)
-    }
-}
-
 /// A row as it is in the file, before its values are checked.
 pub(crate) struct StoredMarker {
-    row: i64,
+    pub row: i64,
     family: String,
     number: u32,
     size_m: f64,
@@ -267,7 +151,7 @@ fn keyframe_of(row: &Row<'_>) -> rusqlite::Result<Option<(MapKeyframe, Vec<u8>)>
 }
 
 /// The rows from this id on, each with its keyframe.
-fn stored(
+pub(crate) fn stored(
     connection: &Connection,
     first: i64,
 ) -> rusqlite::Result<Vec<(StoredMarker, Option<(MapKeyframe, Vec<u8>)>)>> {
@@ -282,7 +166,7 @@ fn stored(
 }
 
 /// The marker of a row with its keyframe, or the end of a sentence about what is wrong with it.
-fn marker_by(
+pub(crate) fn marker_by(
     stored: StoredMarker,
     keyframe: Option<(MapKeyframe, Vec<u8>)>,
 ) -> std::result::Result<MapMarker, &'static str> {
@@ -294,7 +178,7 @@ fn marker_by(
     stored.marker(&MapKeyframe { covariance, ..keyframe })
 }
 
-fn is_there(connection: &Connection) -> rusqlite::Result<bool> {
+pub(crate) fn is_there(connection: &Connection) -> rusqlite::Result<bool> {
     schema::has_further(connection, NAME, TABLE)
 }
 

@@ -7,10 +7,11 @@
 use crate::claim::MapClaim;
 use crate::edges::{self, StoredEdge};
 use crate::file::MapFile;
-use crate::keyframes::{self, is_pose};
+use crate::keyframes;
 use crate::markers::{self, MapMarker, StoredMarker};
 use crate::numbers::symmetric_from_bytes;
 use crate::paths::{self, PathFrame};
+use crate::pose_columns::is_pose;
 use crate::row_order::RowOrder;
 use crate::thinning::edges_without;
 use crate::{cameras, complaint::WithContext, origin, schema};

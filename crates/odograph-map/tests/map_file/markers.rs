@@ -3,7 +3,7 @@
 use crate::ground::{camera, edge_to, image, keyframe};
 use nalgebra::Matrix3;
 use odograph::camera::Rig;
-use odograph::geometry::{GroundPose, PlaneTransform, Se2};
+use odograph::geometry::{GroundPose, Se2};
 use odograph::keyframe::KeyframeId;
 use odograph::keyframe::relative_pose::relative_motion;
 use odograph::landmark::{MarkerSighting, PlacedSighting};
