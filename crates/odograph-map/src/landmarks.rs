@@ -2,10 +2,11 @@
 
 use crate::complaint::WithContext;
 use crate::file::MapFile;
-use crate::markers::{MapMarker, NAME, StoredMarker, insert, is_there, marker_by, place, stored};
+use crate::markers::{
+    MapMarker, NAME, StoredKeyframe, StoredMarker, insert, is_there, marker_by, place, stored,
+};
 use odograph::error::Result;
 use odograph::geometry::Se2;
-use odograph::ground_map::MapKeyframe;
 use odograph::landmark::PlacedSighting;
 use std::collections::{BTreeMap, BTreeSet};
 
@@ -75,7 +76,7 @@ impl MapFile {
             return Ok(Vec::new());
         }
         let stored = stored(&self.connection, 0).while_reading(&self.complaint)?;
-        let marker = |(stored, keyframe): (StoredMarker, Option<(MapKeyframe, Vec<u8>)>)| {
+        let marker = |(stored, keyframe): (StoredMarker, Option<StoredKeyframe>)| {
             let row = stored.row;
             marker_by(stored, keyframe)
                 .map_err(|what| self.complaint.damage(format!("row {row} of {NAME} {what}")))

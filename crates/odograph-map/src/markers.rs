@@ -132,9 +132,14 @@ impl StoredMarker {
     }
 }
 
-/// The keyframe in the columns [`KEYFRAME`] after those of its marker, and the bytes of its
-/// covariance; `None` if it is missing.
-fn keyframe_of(row: &Row<'_>) -> rusqlite::Result<Option<(MapKeyframe, Vec<u8>)>> {
+/// The keyframe of a row, without its covariance, and the bytes of that.
+pub(crate) struct StoredKeyframe {
+    keyframe: MapKeyframe,
+    covariance: Vec<u8>,
+}
+
+/// The keyframe in the columns [`KEYFRAME`] after those of its marker; `None` if it is missing.
+fn keyframe_of(row: &Row<'_>) -> rusqlite::Result<Option<StoredKeyframe>> {
     let Some(session) = row.get(13)? else { return Ok(None) };
     let keyframe = MapKeyframe {
         id: KeyframeId(row.get(6)?),
@@ -147,14 +152,14 @@ fn keyframe_of(row: &Row<'_>) -> rusqlite::Result<Option<(MapKeyframe, Vec<u8>)>
         covariance: Matrix6::zeros(),
         signature: Signature::default(),
     };
-    Ok(Some((keyframe, row.get(29)?)))
+    Ok(Some(StoredKeyframe { keyframe, covariance: row.get(29)? }))
 }
 
 /// The rows from this id on, each with its keyframe.
 pub(crate) fn stored(
     connection: &Connection,
     first: i64,
-) -> rusqlite::Result<Vec<(StoredMarker, Option<(MapKeyframe, Vec<u8>)>)>> {
+) -> rusqlite::Result<Vec<(StoredMarker, Option<StoredKeyframe>)>> {
     let sql = format!(
         "SELECT {COLUMNS}, {KEYFRAME} FROM marker_sightings LEFT JOIN keyframes ON keyframes.id = keyframe \
          WHERE marker_sightings.id >= ?1 ORDER BY marker_sightings.id"
@@ -168,13 +173,15 @@ pub(crate) fn stored(
 /// The marker of a row with its keyframe, or the end of a sentence about what is wrong with it.
 pub(crate) fn marker_by(
     stored: StoredMarker,
-    keyframe: Option<(MapKeyframe, Vec<u8>)>,
+    keyframe: Option<StoredKeyframe>,
 ) -> std::result::Result<MapMarker, &'static str> {
-    let (keyframe, bytes) = keyframe.ok_or("is of a keyframe that is not in the map")?;
+    let StoredKeyframe { keyframe, covariance } =
+        keyframe.ok_or("is of a keyframe that is not in the map")?;
     if ![keyframe.pose, keyframe.odometry_pose].iter().all(is_pose) || !keyframe.time_s.is_finite() {
         return Err("is of a keyframe with a pose that no camera can have");
     }
-    let covariance = symmetric_from_bytes(&bytes).ok_or("is of a keyframe with an invalid covariance")?;
+    let covariance =
+        symmetric_from_bytes(&covariance).ok_or("is of a keyframe with an invalid covariance")?;
     stored.marker(&MapKeyframe { covariance, ..keyframe })
 }
 
