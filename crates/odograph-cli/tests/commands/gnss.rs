@@ -276,7 +276,7 @@ fn live_places_a_path_by_positions_as_they_come() {
         receiver.send_to(text.as_bytes(), ("127.0.0.1", port)).unwrap();
     };
     let mut next = fixes.iter().peekable();
-    // Each position once the frame of its time is tracked: later than it was, by a clock of its own.
+    // Each position once the frame of its time is tracked: late, and by a clock of its own.
     for line in BufReader::new(live.stdout.take().unwrap()).lines() {
         let frame: Value = serde_json::from_str(&line.unwrap()).unwrap();
         if frame["frame"] == 0 {
