@@ -39,6 +39,12 @@ impl MarkerFamily {
         self.dictionary
     }
 
+    /// Family and dictionary without the side, such as `apriltag:36h11`.
+    pub fn name(&self) -> String {
+        let (family, name) = Self::names(self.dictionary);
+        format!("{family}:{name}")
+    }
+
     /// Side of the black square, metres.
     pub fn side_m(&self) -> f64 {
         self.side_m
@@ -114,8 +120,7 @@ impl FromStr for MarkerFamily {
 
 impl fmt::Display for MarkerFamily {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
-        let (family, name) = Self::names(self.dictionary);
-        write!(f, "{family}:{name}:{}mm", (self.side_m * 1e6).round() / 1e3)
+        write!(f, "{}:{}mm", self.name(), (self.side_m * 1e6).round() / 1e3)
     }
 }
 

@@ -358,14 +358,17 @@ impl MapFile {
         for keyframe in self.map()?.keyframes {
             self.load(keyframe.id)?;
         }
-        Ok(())
+        self.markers().map(drop)
     }
 
     /// Removes redundant keyframes until at most `most_keyframes` are left, and composes the edges
-    /// through removed keyframes.
+    /// through removed keyframes. Their markers are those of a neighbour then.
     pub fn thin(&mut self, most_keyframes: usize) -> Result<Thinning> {
         let thinning = thinning(&self.map()?, most_keyframes);
-        self.remove_keyframes(&thinning.gone, &thinning.edges)?;
+        let mut markers = self.markers()?;
+        thinning.hand_over(&mut markers);
+        let markers = (!markers.is_empty()).then_some(markers.as_slice());
+        self.remove_and_keep(&thinning.gone, &thinning.edges, markers)?;
         Ok(thinning)
     }
 

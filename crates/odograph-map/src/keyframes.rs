@@ -5,10 +5,11 @@ use crate::edges;
 use crate::file::MapFile;
 use crate::geopackage::{self, Extent, point_geometry};
 use crate::image::{self, StoredImage};
+use crate::markers::{self, MapMarker};
 use crate::numbers::{bytes_from_symmetric, symmetric_from_bytes};
 use crate::origin;
 use crate::paths::{self, KeyframeMove, PathFrame, corrected_path};
-use crate::pose_columns::pose_from;
+use crate::pose_columns::{is_pose, pose_from};
 use crate::row_order::in_order;
 use nalgebra::Matrix6;
 use odograph::error::Result;
@@ -141,6 +142,7 @@ impl MapFile {
             .and_then(|()| {
                 paths.iter().try_for_each(|(session, path)| paths::write(&transaction, *session, path))
             })
+            .and_then(|()| markers::place(&transaction, 0))
             .and_then(|()| transaction.commit())
             .while_writing(&self.complaint)
     }
@@ -183,9 +185,19 @@ impl MapFile {
         rows.collect::<rusqlite::Result<_>>().while_reading(&self.complaint)
     }
 
-    /// Removes keyframes with their images and edges, and adds `edges`, which replace the
+    /// Removes keyframes with their images, edges and markers, and adds `edges`, which replace the
     /// connections through the removed keyframes.
     pub fn remove_keyframes(&mut self, gone: &[KeyframeId], edges: &[MapEdge]) -> Result<()> {
+        self.remove_and_keep(gone, edges, None)
+    }
+
+    /// As [`MapFile::remove_keyframes`]; the markers are then these, if any are given.
+    pub(crate) fn remove_and_keep(
+        &mut self,
+        gone: &[KeyframeId],
+        edges: &[MapEdge],
+        markers: Option<&[MapMarker]>,
+    ) -> Result<()> {
         let transaction = self.connection.transaction().while_writing(&self.complaint)?;
         (|| {
             for sql in [
@@ -200,6 +212,10 @@ impl MapFile {
                 }
             }
             origin::remove(&transaction, gone)?;
+            match markers {
+                Some(markers) => markers::replace(&transaction, markers)?,
+                None => markers::remove(&transaction, gone)?,
+            }
             edges::insert(&transaction, edges)?;
             set_extent(&transaction)?;
             transaction.commit()
@@ -288,12 +304,6 @@ impl MapFile {
             .while_reading(&self.complaint)?
             .ok_or_else(|| self.complaint.damage(format!("the image of keyframe {} is missing", keyframe.0)))
     }
-}
-
-pub(crate) fn is_pose(pose: &GroundPose) -> bool {
-    let GroundPose { x_m, y_m, heading_rad, height_m, roll_rad, pitch_rad } = *pose;
-    [x_m, y_m, heading_rad, height_m, roll_rad, pitch_rad].iter().all(|v| v.is_finite() && v.abs() < 1e12)
-        && height_m > 0.0
 }
 
 /// Inserts a keyframe with its signature and image.

@@ -12,6 +12,7 @@ use crate::image::StoredImage;
 use crate::keyframes;
 use crate::numbers::symmetric_from_bytes;
 use crate::origin::SessionOrigin;
+use crate::pose_columns::is_pose;
 use odograph::error::{Error, Result};
 use odograph::ground_map::MapKeyframe;
 use odograph::keyframe::{KeyframeId, MapEdge};
@@ -123,7 +124,7 @@ impl Outbox {
             let covariance = symmetric_from_bytes(&covariance).ok_or_else(|| {
                 file.complaint.damage(format!("keyframe {} has a covariance that is none", keyframe.id.0))
             })?;
-            if !keyframes::is_pose(&keyframe.odometry_pose) || !keyframe.time_s.is_finite() {
+            if !is_pose(&keyframe.odometry_pose) || !keyframe.time_s.is_finite() {
                 let id = keyframe.id.0;
                 return Err(file
                     .complaint

@@ -14,3 +14,10 @@ pub(crate) fn pose_from(row: &Row<'_>, first: usize) -> rusqlite::Result<GroundP
         pitch_rad: row.get(first + 5)?,
     })
 }
+
+/// Whether a camera can have this pose.
+pub(crate) fn is_pose(pose: &GroundPose) -> bool {
+    let GroundPose { x_m, y_m, heading_rad, height_m, roll_rad, pitch_rad } = *pose;
+    [x_m, y_m, heading_rad, height_m, roll_rad, pitch_rad].iter().all(|v| v.is_finite() && v.abs() < 1e12)
+        && height_m > 0.0
+}

@@ -7,9 +7,11 @@
 use crate::claim::MapClaim;
 use crate::edges::{self, StoredEdge};
 use crate::file::MapFile;
-use crate::keyframes::{self, is_pose};
+use crate::keyframes;
+use crate::markers::{self, MapMarker, StoredMarker};
 use crate::numbers::symmetric_from_bytes;
 use crate::paths::{self, PathFrame};
+use crate::pose_columns::is_pose;
 use crate::row_order::RowOrder;
 use crate::thinning::edges_without;
 use crate::{cameras, complaint::WithContext, origin, schema};
@@ -179,6 +181,7 @@ fn write(
         }
     }
     edges::insert(&transaction, &map.edges).while_writing(&complaint)?;
+    markers::replace(&transaction, &readable_markers(&source.connection, map)).while_writing(&complaint)?;
     let mut frames = 0;
     // Of all sessions together: there may be many.
     let mut probes = PROBED_ROWS;
@@ -190,6 +193,17 @@ fn write(
     }
     transaction.commit().while_writing(&complaint)?;
     Ok(frames)
+}
+
+/// The valid markers of keyframes that are kept.
+fn readable_markers(connection: &Connection, map: &GroundMap) -> Vec<MapMarker> {
+    let select = format!("SELECT {} FROM marker_sightings", markers::COLUMNS);
+    let rows = rows(connection, &select, "TRUE", "id", &mut { PROBED_ROWS }, StoredMarker::read);
+    let marker = |stored: StoredMarker| {
+        let at = map.keyframes.binary_search_by_key(&stored.keyframe(), |keyframe| keyframe.id).ok()?;
+        stored.marker(&map.keyframes[at]).ok()
+    };
+    rows.into_values().filter_map(|row| row.ok().and_then(marker)).collect()
 }
 
 /// The readable frames of a session's path.

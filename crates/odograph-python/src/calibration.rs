@@ -213,7 +213,13 @@ impl Search {
         if self.selector.sightings() == 0 {
             let mostly = self.reasons.iter().max_by_key(|(_, count)| **count);
             let mostly = mostly.map(|(reason, count)| (reason as &dyn std::fmt::Display, *count));
-            return Err(nothing_found(self.selector_board(), self.looked_at, self.only_pictures, mostly, None));
+            return Err(nothing_found(
+                self.selector_board(),
+                self.looked_at,
+                self.only_pictures,
+                mostly,
+                None,
+            ));
         }
         self.selector.enough()?;
         let all = self.only_pictures && self.pictures.len() <= self.most_views;

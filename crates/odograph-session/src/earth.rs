@@ -29,7 +29,8 @@ pub const UTM_MOSAIC: &str = "mosaic-utm.tif";
 const MAX_BYTES: u64 = 256 << 20;
 
 /// Standard deviation of a receiver's time minus the camera's, seconds: of clocks that are
-/// synchronised or of one recorder, and of a start that a person stated.
+/// synchronised or of one recorder, and of a start that a person stated or of the delay with which
+/// positions arrive.
 const SYNCHRONISED_S: f64 = 0.2;
 const STATED_S: f64 = 1.0;
 
@@ -62,6 +63,12 @@ impl GnssRecord {
         fixes.iter_mut().for_each(|fix| fix.time_s -= start_s.unwrap_or(0.0));
         let clock_sigma_s = if start_s.is_some() { STATED_S } else { SYNCHRONISED_S };
         Ok(Some(Self { name, fixes, clock_sigma_s }))
+    }
+
+    /// Positions that a receiver has sent during the run, by the clock of the frames.
+    #[cfg_attr(not(feature = "live"), allow(dead_code))]
+    pub fn received(name: String, fixes: Vec<GnssFix>) -> Self {
+        Self { name, fixes, clock_sigma_s: STATED_S }
     }
 
     /// The times of the first and the last fix, seconds of the recording.

@@ -6,6 +6,8 @@ use odograph::ground_map::{
     KeyframeImage, KeyframeImages, KeyframeStore, MapKeyframe, MemoryImages, MountedCamera,
 };
 use odograph::keyframe::{KeyframeId, MapEdge};
+use odograph::landmark::PlacedSighting;
+use odograph_calibration::MarkerFamily;
 use odograph_map::{MapClaim, MapFile, SessionOrigin};
 use std::path::PathBuf;
 
@@ -52,6 +54,30 @@ impl GrowingMapFile {
             }
             None => file.begin_session(&self.source),
         }
+    }
+
+    /// Adds sightings of markers by keyframes that are in the file.
+    pub fn add_markers(&mut self, family: &MarkerFamily, sightings: &[PlacedSighting]) -> Result<()> {
+        match &self.kept {
+            Some(_) => Ok(()),
+            None => self.open()?.add_markers(&family.name(), family.side_m(), sightings),
+        }
+    }
+
+    /// Replaces the sightings of the session where they are others than in the file.
+    pub fn set_markers(&mut self, family: &MarkerFamily, sightings: &[PlacedSighting]) -> Result<()> {
+        let session = self.session;
+        let Some(file) = self.file.as_mut().filter(|_| self.kept.is_none()) else { return Ok(()) };
+        let there: Vec<PlacedSighting> = file
+            .markers()?
+            .into_iter()
+            .filter(|marker| marker.session == session)
+            .map(|marker| marker.placed)
+            .collect();
+        if there == sightings {
+            return Ok(());
+        }
+        file.set_markers(session, &family.name(), family.side_m(), sightings)
     }
 
     pub fn set_poses(&mut self, keyframes: &[MapKeyframe]) -> Result<()> {

@@ -35,6 +35,8 @@ pub struct Mapping {
     markers: Option<MarkerWatch>,
     /// Height of the camera that the run began with, metres.
     height_m: f64,
+    /// Whether neither loops nor markers are looked for, to keep up with a camera.
+    is_suspended: bool,
 }
 
 /// Ground sampling distance of the mosaic of a continued map, in ground pixels at the image centre:
@@ -92,17 +94,21 @@ impl Mapping {
             }
             let old = there.map()?;
             let first = there.next_keyframe()?;
+            let seen = markers.as_ref().map_or(Ok(Vec::new()), |markers| markers.seen_before(&there))?;
             file.session = if map.is_read_only() {
                 there.sessions()?.iter().map(|session| session.id + 1).max().unwrap_or(0)
             } else {
                 file.begin_session(&mut there)?
             };
             file.file = Some(there);
-            Mapper::continuing(old, &plan.odometry, plan.slam, file.session, first)
+            let mut mapper = Mapper::continuing(old, &plan.odometry, plan.slam, file.session, first);
+            mapper.remember_sightings(seen);
+            mapper
         } else {
             Mapper::new(&global, plan.rig, &plan.odometry, plan.slam)
         };
-        Ok(Self { mapper, file, times: Timings::default(), markers, height_m: plan.rig.height_m })
+        let height_m = plan.rig.height_m;
+        Ok(Self { mapper, file, times: Timings::default(), markers, height_m, is_suspended: false })
     }
 
     /// Adds the keyframe events of a frame.
@@ -115,22 +121,26 @@ impl Mapping {
                 KeyframeEvent::Revisited(_) => None,
             };
             let sightings = match (&mut self.markers, &event) {
-                (Some(markers), KeyframeEvent::Made(new)) => markers.look(new),
+                (Some(markers), KeyframeEvent::Made(new)) if !self.is_suspended => markers.look(new),
                 _ => Vec::new(),
             };
             let started = Instant::now();
             self.mapper.take(event, color, &mut self.file)?;
-            if !sightings.is_empty() {
+            if let Some(markers) = self.markers.as_ref().filter(|_| !sightings.is_empty()) {
+                let before = self.mapper.marker_sightings();
                 self.mapper.add_sightings(&sightings, &mut self.file)?;
+                let added = &self.mapper.own_sightings()[before..];
+                self.file.add_markers(&markers.family, added)?;
             }
             self.times.push(started.elapsed());
         }
         Ok(())
     }
 
-    /// Whether loop search is suspended until there is time again.
+    /// Suspends the search for loops and markers until there is time again.
     #[cfg_attr(not(feature = "live"), allow(dead_code))]
-    pub fn suspend_loop_search(&mut self, is_suspended: bool) {
+    pub fn suspend_search(&mut self, is_suspended: bool) {
+        self.is_suspended = is_suspended;
         self.mapper.suspend_loop_search(is_suspended);
     }
 
@@ -204,6 +214,10 @@ impl Mapping {
     /// Writes the final poses of the keyframes and the path of the run.
     pub fn save(&mut self, frames: &mut KeptFrames) -> Result<()> {
         self.file.set_poses(&self.mapper.map().keyframes)?;
+        if let Some(markers) = &self.markers {
+            // Their metres are those of the keyframes, which sensors may have corrected.
+            self.file.set_markers(&markers.family, self.mapper.own_sightings())?;
+        }
         self.write_path(frames)
     }
 

@@ -6,11 +6,12 @@ use crate::timings::Timings;
 use odograph::camera::Camera;
 use odograph::error::{Error, Result};
 use odograph::formats::control_file;
-use odograph::landmark::{ControlPoint, MarkerSighting};
+use odograph::landmark::{ControlPoint, MarkerSighting, PlacedSighting};
 use odograph::odometry::NewKeyframe;
 use odograph::pose_graph::Unplaceable;
 use odograph::slam::{Mapper, Surveyed};
 use odograph_calibration::{MarkerFamily, MarkerFinder};
+use odograph_map::{MapFile, MapMarker};
 use std::path::PathBuf;
 use std::time::Instant;
 
@@ -24,6 +25,10 @@ const MAX_OFF: f64 = 0.25;
 /// Side in the image of the smallest marker that is looked for, as a share of that directly below
 /// the camera. Smaller finds markers farther away in a tilted view, larger takes less time.
 const MIN_SHARE: f64 = 0.4;
+
+/// Largest relative difference of the sides that two sessions state for the same markers: of
+/// rounding. Markers of another size are others.
+const SAME_SIDE: f64 = 1e-3;
 
 /// Looks for markers in keyframes.
 pub struct MarkerWatch {
@@ -74,6 +79,18 @@ impl MarkerWatch {
             other_sides_m: Vec::new(),
             surveyed: None,
         }))
+    }
+
+    /// The markers of the family that earlier sessions of a map have seen.
+    ///
+    /// # Errors
+    /// If they cannot be read.
+    pub fn seen_before(&self, map: &MapFile) -> Result<Vec<PlacedSighting>> {
+        let (name, side_m) = (self.family.name(), self.family.side_m());
+        let same =
+            |marker: &MapMarker| marker.family == name && (marker.size_m / side_m - 1.0).abs() <= SAME_SIDE;
+        let seen = map.markers()?.into_iter().filter(same);
+        Ok(seen.map(|marker| marker.placed).collect())
     }
 
     /// The markers that a new keyframe shows.

@@ -100,7 +100,7 @@ pub struct LiveStatistics {
     pub frames_dropped: u64,
     /// Posed frames left out of the mosaic because rendering was too slow.
     pub frames_not_laid: u64,
-    /// Keyframes without loop search because the map was behind.
+    /// Keyframes without a search for loops and markers because the map was behind.
     pub keyframes_not_compared: u64,
     /// Number of reconnections of the source.
     pub reconnects: u64,

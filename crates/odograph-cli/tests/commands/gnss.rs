@@ -10,7 +10,10 @@ use odograph::georeference::Anchor;
 use odograph::trajectory::Trajectory;
 use serde_json::Value;
 use std::fs;
+use std::io::{BufRead, BufReader};
+use std::net::UdpSocket;
 use std::path::Path;
+use std::process::{Command, Stdio};
 
 /// Numbers from −1 to 1.
 struct Noise(u64);
@@ -230,6 +233,67 @@ fn sentences_with_the_time_of_day_are_aligned_by_the_start() {
         message.contains("--gnss-start gives the time (UTC) at which the recording's time is 0"),
         "{message}"
     );
+}
+
+#[test]
+fn live_places_a_path_by_a_file_as_run_does() {
+    let drive = Drive::new();
+    let here = drive.here();
+    fs::write(here.join("rtk.csv"), drive.csv()).unwrap();
+    let options = "sim/frames --fps 15 --camera sim/camera.yaml --rig armed.toml --gnss rtk.csv --quiet";
+    done(here, &format!("run {options} -o run"));
+    done(here, &format!("live {options} -o live"));
+    for name in ["trajectory-utm.csv", "trajectory.geojson", "mosaic-utm.tif", "trajectory.csv"] {
+        let [run, live] = ["run", "live"].map(|folder| fs::read(here.join(folder).join(name)).unwrap());
+        assert!(run == live, "{name}");
+    }
+    assert_eq!(drive.statistics("run")["gnss"], drive.statistics("live")["gnss"]);
+    // Frames as fast as they can be tracked have no time at which a position arrives.
+    let output = odograph(here, &format!("live {} -o bad", options.replace("rtk.csv", "udp:9")));
+    let message = String::from_utf8_lossy(&output.stderr).into_owned();
+    assert!(output.status.code() == Some(2) && message.contains("give --realtime"), "{message}");
+    assert!(!here.join("bad").exists());
+}
+
+#[test]
+fn live_places_a_path_by_positions_as_they_come() {
+    let drive = Drive::new();
+    let fixes = drive.fixes();
+    // A port that is free.
+    let port = UdpSocket::bind("127.0.0.1:0").unwrap().local_addr().unwrap().port();
+    let options = format!(
+        "live sim/frames --fps 15 --realtime 3 --camera sim/camera.yaml --rig armed.toml --gnss udp:{port} --print poses \
+         --quiet -o live"
+    );
+    let mut live = Command::new(env!("CARGO_BIN_EXE_odograph"))
+        .current_dir(drive.here())
+        .args(options.split_whitespace())
+        .stdout(Stdio::piped())
+        .spawn()
+        .unwrap();
+    let receiver = UdpSocket::bind("127.0.0.1:0").unwrap();
+    let send = |text: &str| {
+        receiver.send_to(text.as_bytes(), ("127.0.0.1", port)).unwrap();
+    };
+    let mut next = fixes.iter().peekable();
+    // Each position once the frame of its time is tracked: late, and by a clock of its own.
+    for line in BufReader::new(live.stdout.take().unwrap()).lines() {
+        let frame: Value = serde_json::from_str(&line.unwrap()).unwrap();
+        if frame["frame"] == 0 {
+            send("$GPGSV,1,1,00*79\r\ntime_s,latitude_deg,longitude_deg,sigma_m\r\n");
+        }
+        while let Some((time_s, place)) =
+            next.next_if(|(time_s, _)| *time_s <= frame["time_s"].as_f64().unwrap())
+        {
+            let (latitude, longitude) = (place.latitude_rad.to_degrees(), place.longitude_rad.to_degrees());
+            send(&format!("{:.3},{latitude:.10},{longitude:.10},0.02\r\n", time_s + 5000.0));
+        }
+    }
+    assert!(live.wait().unwrap().success());
+    let gnss = &drive.statistics("live")["gnss"];
+    assert!(gnss["fixes"].as_u64().unwrap() > fixes.len() as u64 / 2, "{gnss}");
+    let off_m = drive.off_m("live");
+    assert!(off_m < 0.03, "{off_m} m, {gnss}");
 }
 
 #[test]

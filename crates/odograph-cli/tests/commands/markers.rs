@@ -1,6 +1,6 @@
 //! Black-box tests of markers on the ground.
 
-use super::program::{done, odograph};
+use super::program::{done, odograph, printed};
 use odograph::formats::control_file;
 use odograph::formats::trajectory_file::parse_tum;
 use odograph::landmark::ControlPoint;
@@ -123,4 +123,112 @@ fn markers_close_a_loop_without_control_points() {
     // The plan repeats it.
     done(here, "run run/run.toml --quiet -o again");
     assert_eq!(statistics(here, "again")["markers"]["landmarks"], markers["landmarks"]);
+}
+
+#[test]
+fn live_finds_the_markers_that_run_finds() {
+    let place = tempfile::tempdir().unwrap();
+    let here = place.path();
+    done(
+        here,
+        "simulate -o sim --path eight --length 4 --speed 1 --fps 20 --size 320x240 --format y4m --quiet \
+         --markers aruco:4x4_50:100mm:2m --seed 5",
+    );
+    let options =
+        "sim/sim.y4m --camera sim/camera.yaml --rig sim/rig.toml --quiet --markers aruco:4x4_50:100mm";
+    for more in ["", " --control sim/markers.csv"] {
+        done(here, &format!("run {options}{more} -o run --force"));
+        done(here, &format!("live {options}{more} -o live --force"));
+        for name in ["trajectory.tum", "trajectory.csv", "map.svg"] {
+            let [run, live] = ["run", "live"].map(|folder| fs::read(here.join(folder).join(name)).unwrap());
+            assert!(run == live, "{name} differs{more}");
+        }
+        let [run, live] = ["run", "live"].map(|folder| statistics(here, folder)["markers"].clone());
+        assert!(live["sightings"].as_u64().unwrap() > 4 && live["ties"].as_u64().unwrap() > 0, "{live}");
+        for key in ["sightings", "ties", "side_ratio", "surveyed", "scale", "landmarks"] {
+            assert_eq!(run[key], live[key], "{key}");
+        }
+        assert_eq!(live["surveyed"], !more.is_empty());
+    }
+    let output = odograph(here, &format!("live {} -o bad", options.replace("4x4_50", "4x4_51")));
+    let message = String::from_utf8_lossy(&output.stderr).into_owned();
+    assert!(output.status.code() == Some(2) && message.contains("there is no family"), "{message}");
+}
+
+/// Root mean square distance of a run's path from the truth of another drive, without alignment,
+/// metres.
+fn rmse_to_m(here: &Path, truth: &str, run: &str) -> f64 {
+    let (truth, found) = (path(here, truth), path(here, &format!("{run}/trajectory.tum")));
+    assert!(found.poses.len() > 40, "{run}");
+    let squares = found.poses.iter().map(|pose| {
+        let same = truth.poses.iter().find(|other| (other.time_s - pose.time_s).abs() < 1e-5).unwrap();
+        let off = pose.world_from_camera.translation.vector - same.world_from_camera.translation.vector;
+        off.x * off.x + off.y * off.y
+    });
+    (squares.sum::<f64>() / found.poses.len() as f64).sqrt()
+}
+
+#[test]
+fn a_second_session_is_tied_by_the_markers_of_the_map() {
+    let place = tempfile::tempdir().unwrap();
+    let here = place.path();
+    // The same markers on other ground, which nothing but them can recognise.
+    for (name, seed) in [("monday", 5), ("tuesday", 6)] {
+        done(
+            here,
+            &format!(
+                "simulate -o {name} --path eight --length 4 --speed 1 --fps 20 --size 320x240 --format y4m --quiet \
+                 --markers apriltag:36h11:100mm:2m --seed {seed}"
+            ),
+        );
+    }
+    let markers = |name: &str| fs::read_to_string(here.join(name).join("markers.csv")).unwrap();
+    assert_eq!(markers("monday"), markers("tuesday"));
+    let run = |name: &str, options: &str| {
+        done(here, &format!("run {name}/sim.y4m --camera {name}/camera.yaml --rig {name}/rig.toml {options}"))
+    };
+    let family = "--markers apriltag:36h11:100mm";
+    run("monday", &format!("{family} --map hall.gpkg -o first --quiet"));
+    for copy in ["other.gpkg", "monday.gpkg"] {
+        fs::copy(here.join("hall.gpkg"), here.join(copy)).unwrap();
+    }
+    let info = printed(here, "map info hall.gpkg");
+    assert!(info.contains("marker 0   apriltag:36h11:100mm at x "), "{info}");
+
+    // It begins elsewhere, and its path is in the frame of the map all the same.
+    let messages = run("tuesday", &format!("{family} --start 1.5 --map hall.gpkg -o second"));
+    assert!(!messages.contains("was recognised"), "{messages}");
+    let off_m = rmse_to_m(here, "tuesday/truth.tum", "second");
+    assert!(off_m < 0.005, "{off_m} m");
+    let found = statistics(here, "second");
+    // Every marker that it passes ties it, not the first alone.
+    assert!(found["markers"]["ties"].as_u64().unwrap() > 5, "{}", found["markers"]);
+    let info: Value = serde_json::from_str(&printed(here, "map info hall.gpkg --json --check")).unwrap();
+    assert_eq!(info["pieces"], 1);
+    let known = info["markers"].as_array().unwrap();
+    let truth = control_file::parse(&markers("monday")).unwrap();
+    assert_eq!(known.len(), truth.len(), "{known:?}");
+    for (known, truth) in known.iter().zip(&truth) {
+        let at = |name: &str| known[name].as_f64().unwrap();
+        let off_m = (at("x_m") - truth.x_m).hypot(at("y_m") - truth.y_m);
+        assert!(off_m < 0.005 && at("sigma_m") < 0.02, "{known} {truth:?}");
+        assert_eq!(known["number"], truth.number);
+    }
+    assert!(known.iter().any(|known| known["sessions"] == serde_json::json!([0, 1])), "{known:?}");
+
+    // Markers of another size are others, and so the map is not recognised.
+    let messages = run("tuesday", "--markers apriltag:36h11:110mm --start 1.5 --map other.gpkg -o third");
+    assert!(messages.contains("nothing of other.gpkg was recognised"), "{messages}");
+
+    // Two maps of the same hall are joined by their markers.
+    run("tuesday", &format!("{family} --start 1.5 -o alone --quiet"));
+    let joined = printed(here, "map merge monday.gpkg alone/map.gpkg -o joined.gpkg");
+    assert!(joined.contains("seen again in 0 places, tied "), "{joined}");
+    let info: Value = serde_json::from_str(&printed(here, "map info joined.gpkg --json --check")).unwrap();
+    let known = info["markers"].as_array().unwrap();
+    assert!(known.len() == truth.len() && info["pieces"] == 1, "{known:?}");
+    for (known, truth) in known.iter().zip(&truth) {
+        let at = |name: &str| known[name].as_f64().unwrap();
+        assert!((at("x_m") - truth.x_m).hypot(at("y_m") - truth.y_m) < 0.005, "{known} {truth:?}");
+    }
 }

@@ -49,6 +49,7 @@ function told(message) {
   else if (message.kind === "marks") { map.marks.splice(message.first, message.marks.length, ...message.marks); map.changed = true; document.body.dataset.marks = map.marks.length; }
   else if (message.kind === "replaced") { track.clear(); distances.count = 0; last = -1; map.drawn = null; document.body.dataset.replaced = 1; }
   else if (message.kind === "elevations") showElevations(message.elevations);
+  else if (message.kind === "markers") { offer("markers"); map.setMarkers(message.markers); document.body.dataset.markers = message.markers.length; }
   else if (message.kind === "mask") { offer("mask"); camera?.setMask(message.mask); document.body.dataset.mask = message.mask.cells.split("1").length - 1; }
   else if (message.kind === "calibration") { calibration?.show(message.calibration); showState(); }
   else if (message.kind === "map") {

@@ -37,7 +37,8 @@ export class GroundMap {
     this.marks = [];
     this.graph = { keyframes: [], loops: [] };
     this.elevations = [];
-    this.shown = { ground: true, path: true, keyframes: true, marks: true, elevations: true };
+    this.markers = [];
+    this.shown = { ground: true, path: true, keyframes: true, marks: true, markers: true, elevations: true };
     this.follow = true;
     this.fits = this.unfitted = false;
     this.view = { x: 0, y: 0, scale: 160 };
@@ -222,6 +223,7 @@ export class GroundMap {
     c.imageSmoothingEnabled = true;
     if (this.shown.path) c.drawImage(this.pathLayer, ...this.drawPath(color("--path")));
     if (this.shown.keyframes) this.drawGraph(c, color("--path"), color("--mark"));
+    if (this.shown.markers) this.drawMarkers(c);
     if (this.shown.marks) this.drawMarks(c, color("--mark"), color("--card"));
     if (place >= 0) this.drawCamera(c, place, place === this.at, color);
     this.drawScale(c, color("--ink"), color("--card"));
@@ -313,6 +315,22 @@ export class GroundMap {
       const share = Math.round(100 * Math.abs(z) / most);
       c.fillStyle = `color-mix(in srgb, ${z < 0 ? "#2563eb" : "#e8590c"} ${share}%, #ffffff)`;
       c.fillRect(px - radius, py - radius, 2 * radius, 2 * radius);
+    }
+  }
+
+  /// Sets the markers on the ground: x and y in metres, and the number.
+  setMarkers(markers) { this.markers = markers; this.drawn = null; this.changed = true; }
+
+  /// Black squares with a white border, with their numbers where there is room.
+  drawMarkers(c) {
+    c.font = "600 11px system-ui, sans-serif"; c.textBaseline = "middle";
+    for (const [x, y, number] of this.markers) {
+      const px = this.toX(x), py = this.toY(y);
+      if (px < -20 || py < -20 || px > this.width + 20 || py > this.height + 20) continue;
+      c.fillStyle = "#fff"; c.fillRect(px - 6, py - 6, 12, 12);
+      c.fillStyle = "#000"; c.fillRect(px - 4.5, py - 4.5, 9, 9);
+      if (this.view.scale < 20) continue;
+      c.lineWidth = 3; c.strokeStyle = "#fff"; c.strokeText(number, px + 9, py); c.fillText(number, px + 9, py);
     }
   }
 

@@ -4,6 +4,7 @@
 //! cells are covered by the most other keyframes is removed repeatedly. Edges through it are
 //! composed to edges between its neighbours, so that the pose graph stays connected.
 
+use crate::markers::MapMarker;
 use nalgebra::Vector4;
 use odograph::camera::Camera;
 use odograph::geometry::pose_index::{LN_SCALE, X, Y};
@@ -29,13 +30,38 @@ pub struct Thinning {
     pub edges: Vec<MapEdge>,
     /// Fraction of the covered ground that remains covered.
     pub ground_kept: f64,
+    /// Of each removed keyframe that had an edge, in the order of their removal, the neighbour that
+    /// takes over its markers.
+    heirs: Vec<Heir>,
+}
+
+/// The neighbour of a removed keyframe.
+#[derive(Debug, Clone, Copy, PartialEq)]
+struct Heir {
+    gone: KeyframeId,
+    keyframe: KeyframeId,
+    /// From the metres of the removed keyframe to those of its neighbour.
+    keyframe_from_gone: WithCovariance<Sim2, 4>,
+}
+
+impl Thinning {
+    /// Gives the markers of the removed keyframes to their neighbours.
+    pub(crate) fn hand_over(&self, markers: &mut [MapMarker]) {
+        for Heir { gone, keyframe, keyframe_from_gone } in &self.heirs {
+            for MapMarker { placed, .. } in markers.iter_mut() {
+                if placed.sighting.keyframe == *gone {
+                    placed.sighting = placed.sighting.moved_to(*keyframe, keyframe_from_gone);
+                }
+            }
+        }
+    }
 }
 
 /// Thins a map to at most `most` keyframes.
 pub(crate) fn thinning(map: &GroundMap, most: usize) -> Thinning {
     let mut coverage = KeyframeCoverage::of(map);
     let mut ties = Ties::of(map);
-    let mut gone = Vec::new();
+    let (mut gone, mut heirs) = (Vec::new(), Vec::new());
     // Lazy priority queue: costs only increase as keyframes are removed, so an outdated cost is a
     // lower bound.
     let mut queue: BinaryHeap<Reverse<(u64, usize)>> =
@@ -48,16 +74,18 @@ pub(crate) fn thinning(map: &GroundMap, most: usize) -> Thinning {
             continue;
         }
         coverage.take_out(index);
-        ties.take_out(map.keyframes[index].id);
+        heirs.extend(ties.take_out(map.keyframes[index].id));
         gone.push(map.keyframes[index].id);
     }
-    Thinning { gone, edges: ties.composed(), ground_kept: coverage.kept() }
+    Thinning { gone, edges: ties.composed(), ground_kept: coverage.kept(), heirs }
 }
 
 /// The edges of a map without some of its keyframes: edges through these are composed.
 pub(crate) fn edges_without(map: &GroundMap, gone: &[KeyframeId]) -> Vec<MapEdge> {
     let mut ties = Ties::of(map);
-    gone.iter().for_each(|&keyframe| ties.take_out(keyframe));
+    for &keyframe in gone {
+        ties.take_out(keyframe);
+    }
     ties.edges.into_iter().flatten().collect()
 }
 
@@ -167,8 +195,8 @@ impl Ties {
     }
 
     /// Removes a keyframe and connects its neighbours to the one with the least uncertain edge to
-    /// it.
-    fn take_out(&mut self, keyframe: KeyframeId) {
+    /// it, which is returned.
+    fn take_out(&mut self, keyframe: KeyframeId) -> Option<Heir> {
         let mut best: BTreeMap<KeyframeId, MapEdge> = BTreeMap::new();
         for number in self.at.remove(&keyframe).unwrap_or_default() {
             let Some(edge) = self.edges[number].take() else { continue };
@@ -181,7 +209,7 @@ impl Ties {
                 *known = edge;
             }
         }
-        let Some(hub) = best.values().min_by(|a, b| spread(a).total_cmp(&spread(b))).copied() else { return };
+        let hub = best.values().min_by(|a, b| spread(a).total_cmp(&spread(b))).copied()?;
         let to_keyframe = self.reversed(&hub);
         for edge in best.values().filter(|edge| edge.to != hub.to) {
             if !self.tied(hub.to, edge.to) {
@@ -191,6 +219,8 @@ impl Ties {
                 self.at.entry(edge.to).or_default().insert(number);
             }
         }
+        let keyframe_from_gone = self.similarity(&to_keyframe);
+        Some(Heir { gone: keyframe, keyframe: hub.to, keyframe_from_gone })
     }
 
     fn tied(&self, one: KeyframeId, other: KeyframeId) -> bool {

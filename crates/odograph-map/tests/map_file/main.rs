@@ -5,6 +5,7 @@
 mod ground;
 mod hostile;
 mod killed;
+mod markers;
 mod mosaic;
 mod one_writer;
 mod repair;

@@ -4,7 +4,7 @@
 //! shows the map frame instead, in which a loop closure moves earlier poses.
 
 use super::ground::{LiveGround, MosaicUpdate};
-use super::map_graph::map_graph;
+use super::map_graph::{map_graph, map_markers};
 use crate::mapping::Mapping;
 use odograph::geometry::Sim2;
 use odograph::ground_map::{GroundMap, MapKeyframe};
@@ -35,11 +35,27 @@ pub struct MapFrameUpdates<'a> {
     updates: &'a Newest<MosaicUpdate>,
     loops: usize,
     sent: Option<Instant>,
+    /// Number of sightings of markers that the page shows.
+    sightings: usize,
 }
 
 impl<'a> MapFrameUpdates<'a> {
     pub fn new(hub: &'a Hub, updates: &'a Newest<MosaicUpdate>) -> Self {
-        Self { hub, updates, loops: 0, sent: None }
+        Self { hub, updates, loops: 0, sent: None, sightings: 0 }
+    }
+
+    /// Publishes the markers if one was seen since the last call.
+    pub fn publish_markers(&mut self, mapping: &Mapping) {
+        let mapper = mapping.mapper();
+        if mapper.marker_sightings() != self.sightings {
+            self.sightings = mapper.marker_sightings();
+            self.send_markers(mapping);
+        }
+    }
+
+    fn send_markers(&self, mapping: &Mapping) {
+        let landmarks = mapping.mapper().landmarks(None);
+        self.hub.notify("markers", &map_markers(landmarks.into_iter().map(|at| (at.number, at.pose))));
     }
 
     /// Publishes the corrected poses if there was a loop closure since the last call.
@@ -56,6 +72,9 @@ impl<'a> MapFrameUpdates<'a> {
         }
         (self.loops, self.sent) = (loops, Some(Instant::now()));
         self.hub.notify("map", &map_message(map, mapper.session()));
+        if self.sightings > 0 {
+            self.send_markers(mapping);
+        }
         let own = map.keyframes.iter().filter(|keyframe| keyframe.session == mapper.session());
         let Some(newest) = own.clone().next_back() else { return };
         self.updates.give(MosaicUpdate {

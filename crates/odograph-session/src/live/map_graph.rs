@@ -1,6 +1,6 @@
 //! A map as the page draws it.
 
-use odograph::geometry::GroundPose;
+use odograph::geometry::{GroundPose, Se2};
 use odograph::ground_map::GroundMap;
 use odograph::keyframe::EdgeKind;
 use serde_json::{Value, json};
@@ -14,4 +14,11 @@ pub fn map_graph(map: &GroundMap) -> Value {
     let loops = map.edges.iter().filter(|edge| edge.kind == EdgeKind::Loop);
     let loops: Vec<[usize; 2]> = loops.filter_map(|edge| Some([at(edge.from)?, at(edge.to)?])).collect();
     json!({ "keyframes": keyframes, "loops": loops })
+}
+
+/// Markers on the ground, each as its place in the map, metres, and its number.
+pub fn map_markers(markers: impl IntoIterator<Item = (u32, Se2)>) -> Value {
+    let thousandths = |metres: f64| (1e3 * metres).round() / 1e3;
+    let marker = |(number, pose): (u32, Se2)| json!([thousandths(pose.x_m), thousandths(pose.y_m), number]);
+    markers.into_iter().map(marker).collect()
 }

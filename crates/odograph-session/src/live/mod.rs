@@ -27,6 +27,7 @@
 //! ```
 
 mod capturing;
+mod gnss;
 mod ground;
 mod latency;
 mod mosaic_rendering;
@@ -40,13 +41,15 @@ mod source;
 mod map_frame;
 
 pub use capturing::{FAREWELL, FRAMES_WAITING, Farewell, PATIENCE, STATUS_EVERY, capture};
-pub use map_graph::map_graph;
+pub use gnss::GnssSource;
+pub use map_graph::{map_graph, map_markers};
 pub use recorder::folder_name_now;
 pub use sinks::{LiveFrame, PoseSink};
 pub use source::{CaptureOptions, LiveInput, open_live_input};
 
 use crate::builder::CameraChoice;
 use crate::builder::RunBuilder;
+use crate::earth::GnssRecord;
 use crate::files;
 use crate::finish::Ending;
 use crate::folder::OutputFolder;
@@ -56,17 +59,19 @@ use crate::outcome::RunOutcome;
 use crate::output::RunOutput;
 use crate::plan::{RunPlan, SourcePlan};
 use crate::report::RunReporter;
+use gnss::{GnssReceiver, LiveGnss};
 use ground::LiveGround;
 use mcap::McapLog;
-use odograph::error::Result;
+use odograph::error::{Error, Result};
 use odograph::filter::fusion::Sensors;
 use odograph::formats::camera_file;
 use odograph::motion::MotionModel;
 use odograph::mounting::OnlineCalibration;
-use odograph_live::capture::{Watch, without_credentials};
+use odograph_live::capture::{Policy, Watch, without_credentials};
 use odograph_live::{Hub, Introduction};
 use odograph_map::MapFile;
 use odograph_video::SourceInfo;
+use pipeline::PipelineInput;
 use recorder::Recorder;
 use sinks::LiveSinks;
 use std::fmt;
@@ -84,6 +89,8 @@ pub struct LiveOptions {
     pub shown: bool,
     /// An MCAP file to write poses, pictures and path into.
     pub mcap: Option<PathBuf>,
+    /// A satellite receiver that sends its positions during the run.
+    pub gnss: Option<GnssSource>,
 }
 
 impl RunBuilder {
@@ -128,6 +135,16 @@ impl RunBuilder {
         };
         // What is written and shown is for others to read.
         plan.source.path = without_credentials(&plan.source.path);
+        let gnss = match &options.gnss {
+            Some(_) if input.policy == Policy::Wait => {
+                return Err(Error::usage(format!(
+                    "positions as they come need frames as they come: give --realtime, or a file of the positions of {}",
+                    plan.source.path
+                )));
+            }
+            Some(source) => LiveGnss::Received(GnssReceiver::open(source)?),
+            None => LiveGnss::Recorded(GnssRecord::read(&plan.sensors, &plan.source.path)?),
+        };
         let info = input.source.info().clone();
         let introduction = Introduction {
             title,
@@ -150,6 +167,7 @@ impl RunBuilder {
             ground,
             hub,
             mcap: options.mcap.clone(),
+            gnss,
             output: self.output.clone(),
             reporter: self.reporter.clone(),
             temporary,
@@ -180,6 +198,7 @@ pub struct LiveRun {
     ground: LiveGround,
     hub: Arc<Hub>,
     mcap: Option<PathBuf>,
+    gnss: LiveGnss,
     output: RunOutput,
     reporter: Option<Arc<dyn RunReporter>>,
     /// Last, so that the folder is removed after all else is closed.
@@ -225,7 +244,7 @@ impl LiveRun {
     pub fn follow(self, poses: Option<&mut dyn PoseSink>, observer: &dyn Observer) -> Result<RunOutcome> {
         // Removed after all else is closed: what is declared first is dropped last.
         let _temporary = self.temporary;
-        let Self { plan, info, input, watch, folder, ground, hub, mcap, output, reporter, .. } = self;
+        let Self { plan, info, input, watch, folder, ground, hub, mcap, gnss, output, reporter, .. } = self;
         // Of a map that is continued the lens is the map's.
         let lens_is_known = output.map.path().is_some_and(MapFile::is_there);
         let calibration = (plan.odometry.motion.model == MotionModel::Auto)
@@ -243,6 +262,7 @@ impl LiveRun {
             started: Instant::now(),
         };
         let sinks = LiveSinks { poses, log: log.as_ref() };
+        let input = PipelineInput { frames: input, gnss };
         pipeline::follow(&plan, calibration, input, &watch, &ground, &hub, mapping, recorder, sinks, &ending)
     }
 }

@@ -2,7 +2,7 @@
 //! and the results after it.
 
 use super::ground::LiveGround;
-use super::map_graph::map_graph;
+use super::map_graph::{map_graph, map_markers};
 use odograph::fixed_pattern::ImageMask;
 use odograph::geometry::Sim2;
 use odograph::odometry::Odometry;
@@ -93,11 +93,17 @@ pub fn show_results(hub: &Hub, ground: &LiveGround, folder: &Path) {
     let records = table.ok().and_then(|table| TrackRecord::from_csv(&table).ok());
     let Some(records) = records else { return };
     hub.replace_records(&records);
-    if let Ok(map) = MapFile::open_read_only(&folder.join("map.gpkg")).and_then(|file| file.map()) {
+    let Ok(file) = MapFile::open_read_only(&folder.join("map.gpkg")) else { return };
+    if let Ok(map) = file.map() {
         let mut graph = map_graph(&map);
         // The records are in the map frame already.
         graph["corrections"] = json!([]);
         hub.notify("map", &graph);
+    }
+    if let Ok(landmarks) = file.landmarks()
+        && !landmarks.is_empty()
+    {
+        hub.notify("markers", &map_markers(landmarks.into_iter().map(|at| (at.number, at.pose))));
     }
 }
 

@@ -2,6 +2,7 @@
 //! stages get what they can handle.
 
 use super::capturing::{FAREWELL, FRAMES_WAITING, Farewell, PATIENCE, STATUS_EVERY, capture};
+use super::gnss::LiveGnss;
 use super::ground::{LiveGround, MosaicUpdate};
 use super::latency::Latencies;
 use super::map_frame::{self, MapFrameUpdates};
@@ -43,15 +44,21 @@ const RENDERING_QUEUE: usize = 4;
 /// Length of the queue to the map. No keyframe may be dropped, so tracking waits when the map is
 /// this far behind; longer waits later but needs more memory.
 const MAPPING_QUEUE: usize = 32;
-/// Queue length from which the map of a camera suspends loop search until the queue is empty:
-/// without it the map is faster than keyframes can come.
+/// Queue length from which the map of a camera suspends the search for loops and markers until the
+/// queue is empty: without it the map is faster than keyframes can come.
 const BEHIND: usize = 8;
+
+/// Inputs of the pipeline.
+pub struct PipelineInput {
+    pub frames: LiveInput,
+    pub gnss: LiveGnss,
+}
 
 /// Tracks a source until it ends or the run is asked to end, then writes everything.
 pub fn follow(
     plan: &RunPlan,
     calibration: Option<OnlineCalibration>,
-    opened: LiveInput,
+    PipelineInput { frames: opened, gnss }: PipelineInput,
     watch: &Watch,
     ground: &LiveGround,
     hub: &Arc<Hub>,
@@ -78,6 +85,7 @@ pub fn follow(
         log,
         hub,
         shown: ground.is_shown(),
+        gnss: &gnss,
         watch,
         queue: Arc::new(Newest::new(opened.policy, FRAMES_WAITING)),
         policy: opened.policy,
@@ -106,7 +114,7 @@ pub fn follow(
     following.recorder.record_marks(hub);
     let live = following.statistics(dropped);
     let found = following.calibration.as_ref().and_then(OnlineCalibration::found);
-    let tracked = Tracked {
+    let mut tracked = Tracked {
         readout: FoundReadout::of(&plan.camera, &following.odometry),
         interlaced: following.odometry.is_interlaced(),
         marks: following.recorder.report_marks(),
@@ -127,7 +135,10 @@ pub fn follow(
         lens: FoundLens::of(&plan.camera, found),
     };
     let mut folder = following.recorder.into_folder();
-    let outcome = finish(plan, tracked, &mut folder, &Ending { sensors: &sensors, ..*ending })?;
+    let (gnss, left_out) = gnss.finish();
+    tracked.warnings.extend(left_out);
+    let ending = Ending { sensors: &sensors, gnss: gnss.as_ref(), ..*ending };
+    let outcome = finish(plan, tracked, &mut folder, &ending)?;
     if ground.is_shown() {
         show_results(hub, ground, folder.path());
     }
@@ -207,6 +218,7 @@ struct Following<'a, 'p> {
     hub: &'a Hub,
     /// Whether there may be viewers.
     shown: bool,
+    gnss: &'a LiveGnss,
     watch: &'a Watch,
     queue: Arc<Newest<(Captured, Duration)>>,
     policy: Policy,
@@ -252,7 +264,7 @@ impl Following<'_, '_> {
                     let made = |event: &&KeyframeEvent| matches!(event, KeyframeEvent::Made(_));
                     not_compared +=
                         if is_suspended { happened.events.iter().filter(made).count() as u64 } else { 0 };
-                    mapping.suspend_loop_search(is_suspended);
+                    mapping.suspend_search(is_suspended);
                     // A map that cannot be written (full disk) ends; tracking continues.
                     if failure.is_none() {
                         failure = mapping.take(happened.events, happened.frame.as_ref()).err();
@@ -260,6 +272,7 @@ impl Following<'_, '_> {
                             beside.correct(correction);
                         }
                         if ground.is_shown() {
+                            updates.publish_markers(mapping);
                             updates.publish_if_closed(mapping);
                         }
                     }
@@ -302,6 +315,7 @@ impl Following<'_, '_> {
 
     fn track(&mut self, captured: Captured, decoding: Duration, beside: &Beside) -> Result<()> {
         let Captured { frame, at } = captured;
+        self.gnss.frame(at, frame.time_s);
         let begun = Instant::now();
         let estimate = self.odometry.process(frame.gray.clone(), frame.time_s)?;
         let estimate = FrameEstimate { frame: frame.number, ..estimate };

@@ -8,6 +8,7 @@
 use crate::camera::Camera;
 use crate::geometry::pose_index::{HEADING, HEIGHT, LN_SCALE};
 use crate::geometry::{GroundPoint, GroundPose, Pixel, PlaneTransform, Se2, Sim2, WithCovariance};
+use crate::ground_map::MapKeyframe;
 use crate::keyframe::{EdgeKind, KeyframeId, MapEdge};
 use nalgebra::{Matrix3, Matrix4, Matrix6, SMatrix, Vector2, Vector3};
 
@@ -62,12 +63,12 @@ pub struct PlacedSighting {
     pub visit: usize,
 }
 
-/// The markers that a session has seen.
+/// The markers of a map.
 #[derive(Debug, Clone, Default, PartialEq)]
 pub struct MarkerRecord {
-    /// In order of time.
+    /// In order of time, those of earlier sessions first.
     pub sightings: Vec<PlacedSighting>,
-    /// Number of edges between them.
+    /// Number of edges between them that this session has added.
     pub edges: usize,
 }
 
@@ -141,8 +142,7 @@ impl MarkerSighting {
         let by_side = |sighting: &Self| {
             let Se2 { x_m, y_m, heading_rad } = sighting.keyframe_from_marker;
             let scale = if held { 1.0 } else { sighting.side_m };
-            let mut covariance = Matrix4::zeros();
-            covariance.fixed_view_mut::<3, 3>(0, 0).copy_from(&sighting.covariance);
+            let mut covariance = with_scale(&sighting.covariance);
             if !held {
                 covariance[(LN_SCALE, LN_SCALE)] = (sighting.side_sigma_m / sighting.side_m).powi(2);
             }
@@ -161,6 +161,44 @@ impl MarkerSighting {
         }
     }
 
+    /// Where the marker is in the map, as this sighting by `keyframe` has it.
+    pub fn in_map(&self, keyframe: &MapKeyframe) -> WithCovariance<Se2, 3> {
+        let scale = keyframe.pose.height_m / keyframe.odometry_pose.height_m;
+        let map_from_keyframe = WithCovariance {
+            transform: Sim2 { scale, ..Sim2::rigid(&keyframe.pose.se2()) },
+            covariance: with_scale(&keyframe.covariance.fixed_view::<3, 3>(0, 0).into_owned()),
+        };
+        let there = map_from_keyframe * self.keyframe_from_marker();
+        let Sim2 { x_m, y_m, heading_rad, .. } = there.transform;
+        WithCovariance {
+            transform: Se2::new(x_m, y_m, heading_rad),
+            covariance: there.covariance.fixed_view::<3, 3>(0, 0).into_owned(),
+        }
+    }
+
+    /// The sighting as another keyframe has it, which lies at `new_from_keyframe` of this one's.
+    #[must_use]
+    pub fn moved_to(&self, new: KeyframeId, new_from_keyframe: &WithCovariance<Sim2, 4>) -> Self {
+        let seen = *new_from_keyframe * self.keyframe_from_marker();
+        let Sim2 { x_m, y_m, heading_rad, scale } = seen.transform;
+        Self {
+            keyframe: new,
+            keyframe_from_marker: Se2::new(x_m, y_m, heading_rad),
+            covariance: seen.covariance.fixed_view::<3, 3>(0, 0).into_owned(),
+            side_m: scale * self.side_m,
+            side_sigma_m: scale * self.side_sigma_m,
+            ..*self
+        }
+    }
+
+    /// The sighting as a similarity of the scale 1.
+    fn keyframe_from_marker(&self) -> WithCovariance<Sim2, 4> {
+        WithCovariance {
+            transform: Sim2::rigid(&self.keyframe_from_marker),
+            covariance: with_scale(&self.covariance),
+        }
+    }
+
     /// The sighting in metres that are longer by a factor.
     #[must_use]
     pub fn rescaled(mut self, factor: f64) -> Self {
@@ -172,6 +210,13 @@ impl MarkerSighting {
         self.side_sigma_m *= factor;
         self
     }
+}
+
+/// The covariance of a pose and of a scale that is certain.
+fn with_scale(of_pose: &Matrix3<f64>) -> Matrix4<f64> {
+    let mut covariance = Matrix4::zeros();
+    covariance.fixed_view_mut::<3, 3>(0, 0).copy_from(of_pose);
+    covariance
 }
 
 /// The pose of a square on the ground, its x towards the top as printed, and its side; `None` if a

@@ -11,7 +11,7 @@ use crate::keyframe::{KeyframeId, MapEdge};
 use crate::landmark::{ControlPoint, MarkerSighting, PlacedSighting};
 use crate::pose_graph::{AbsoluteEdge, AbsoluteUse, Heights, Placed, Unplaceable};
 use nalgebra::{Matrix2, Matrix3, Vector2, Vector3};
-use std::collections::BTreeMap;
+use std::collections::{BTreeMap, BTreeSet};
 
 /// A place of a marker in the map.
 #[derive(Debug, Clone, PartialEq)]
@@ -67,6 +67,19 @@ const PATH_FACTOR: f64 = 3.0;
 const PATH_OFF: (f64, f64) = (0.02, 0.02);
 
 impl Mapper {
+    /// Remembers the markers that earlier sessions of the map have seen, in order of time: those of
+    /// the new session are tied to them. To be called before the first keyframe of the session.
+    pub fn remember_sightings(&mut self, sightings: Vec<PlacedSighting>) {
+        self.landmarks.sightings = sightings;
+    }
+
+    /// The sightings of the session, in order of time.
+    pub fn own_sightings(&self) -> &[PlacedSighting] {
+        let of = &self.landmarks.sightings;
+        let earlier = of.iter().take_while(|at| !self.is_new(at.sighting.keyframe)).count();
+        &of[earlier..]
+    }
+
     /// Adds edges from the newest keyframe of the run to those that have shown the same markers.
     /// Fails if an edge cannot be stored.
     pub fn add_sightings(
@@ -93,7 +106,8 @@ impl Mapper {
                 known.clone().filter(|at| at.place == place).copied().collect();
             let Some(last) = of_place.last() else { continue };
             let first_visit = of_place.iter().filter(|at| at.visit == 0).count();
-            let returns = last.sighting.keyframe.0 + AWAY < sighting.keyframe.0;
+            let returns = last.sighting.keyframe.0 + AWAY < sighting.keyframe.0
+                || self.session_of(last.sighting.keyframe) != self.session_of(sighting.keyframe);
             let visit = last.visit + usize::from(returns);
             let of_visit = of_place.iter().filter(|at| at.visit == visit).count();
             let to = if visit == 0 { *last } else { of_place[of_visit % first_visit.max(1)] };
@@ -104,10 +118,16 @@ impl Mapper {
             let placement = PlacedSighting { sighting, place, visit };
             self.landmarks.sightings.push(placement);
             // The ground around a marker relates neighbouring keyframes more accurately.
-            return if visit == 0 { Ok(()) } else { self.close_loop(edge, images) };
+            // Of a map that is merged the edges are known.
+            let is_known = !self.compares(sighting.keyframe, to.sighting.keyframe);
+            return if visit == 0 || is_known { Ok(()) } else { self.close_loop(edge, images) };
         }
         self.landmarks.sightings.push(PlacedSighting { sighting, place: places, visit: 0 });
         Ok(())
+    }
+
+    fn session_of(&self, keyframe: KeyframeId) -> Option<u32> {
+        self.keyframe(keyframe).map(|keyframe| keyframe.session)
     }
 
     fn marker_edge(&self, from: &MarkerSighting, to: &MarkerSighting) -> Option<MapEdge> {
@@ -132,30 +152,35 @@ impl Mapper {
     /// Adds an edge. A part of the map that no measurement connects yet is moved to where the
     /// marker puts it.
     fn close_loop(&mut self, edge: MapEdge, images: &mut dyn KeyframeStore) -> Result<()> {
+        let mut is_moved = false;
         if let (Some(from), Some(measured_m)) =
             (self.graph.pose(edge.from), self.measured_m(edge.from, edge.to))
         {
             let seen = compose(&from, &edge.motion, from.height_m / measured_m[0]);
-            if !self.graph.move_component(edge.to, &seen, edge.from)
-                && let Some(to) = self.graph.pose(edge.to)
-            {
+            is_moved = self.graph.move_component(edge.to, &seen, edge.from);
+            if !is_moved && let Some(to) = self.graph.pose(edge.to) {
                 let back = inverse(&edge.motion, measured_m);
                 let seen = compose(&to, &back, to.height_m / measured_m[1]);
-                self.graph.move_component(edge.from, &seen, edge.to);
+                is_moved = self.graph.move_component(edge.from, &seen, edge.to);
             }
         }
         self.landmarks.edges += 1;
-        self.add(edge, images)
+        self.add(edge, images)?;
+        if is_moved {
+            // The next keyframe is placed by the poses in the map.
+            self.relax();
+        }
+        Ok(())
     }
 
-    /// Number of edges between sightings of markers.
+    /// Number of edges between sightings of markers that the session has added.
     pub fn marker_edges(&self) -> usize {
         self.landmarks.edges
     }
 
-    /// Number of sightings of markers.
+    /// Number of sightings of markers by the session.
     pub fn marker_sightings(&self) -> usize {
-        self.landmarks.sightings.len()
+        self.own_sightings().len()
     }
 
     /// Rescales the sightings after the metres of their keyframes have changed by these factors.
@@ -205,12 +230,15 @@ impl Mapper {
         Ok(Surveyed { survey_from_map: survey_from_graph, scale_sigma, uses })
     }
 
-    /// The markers of the session where the final map has them, in order of their numbers.
+    /// The markers that the session has seen where the final map has them, in order of their
+    /// numbers; those of earlier sessions at other places too, where the number is the same.
     pub fn landmarks(&self, surveyed: Option<&Surveyed>) -> Vec<Landmark> {
         let mut of_place: BTreeMap<(u32, usize), Vec<usize>> = BTreeMap::new();
         for (at, PlacedSighting { sighting, place, .. }) in self.landmarks.sightings.iter().enumerate() {
             of_place.entry((sighting.number, *place)).or_default().push(at);
         }
+        let seen: BTreeSet<u32> = self.own_sightings().iter().map(|at| at.sighting.number).collect();
+        of_place.retain(|(number, _), _| seen.contains(number));
         let mut most: BTreeMap<u32, (usize, usize)> = BTreeMap::new();
         for (&(number, place), sightings) in &of_place {
             let best = most.entry(number).or_insert((0, place));
@@ -251,11 +279,6 @@ impl Mapper {
 
     fn in_map_frame(&self, at: usize) -> Option<Se2> {
         let sighting = &self.landmarks.sightings.get(at)?.sighting;
-        let keyframe = self.keyframe(sighting.keyframe)?;
-        let scale = keyframe.pose.height_m / keyframe.odometry_pose.height_m;
-        let map_from_keyframe = Sim2 { scale, ..Sim2::rigid(&keyframe.pose.se2()) };
-        let Sim2 { x_m, y_m, heading_rad, .. } =
-            map_from_keyframe * Sim2::rigid(&sighting.keyframe_from_marker);
-        Some(Se2::new(x_m, y_m, heading_rad))
+        Some(sighting.in_map(self.keyframe(sighting.keyframe)?).transform)
     }
 }

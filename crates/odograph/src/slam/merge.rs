@@ -5,6 +5,7 @@ use super::mapper::ComparedKeyframes;
 use crate::error::{Error, Result};
 use crate::ground_map::{GroundMap, KeyframeImages, KeyframeStore, MapKeyframe};
 use crate::keyframe::{KeyframeId, MapEdge};
+use crate::landmark::MarkerSighting;
 use crate::loop_closure::LoopClosureConfig;
 use crate::odometry::{NewKeyframe, OdometryConfig};
 use std::collections::BTreeSet;
@@ -14,8 +15,11 @@ use std::collections::BTreeSet;
 pub struct Merged {
     /// Number of keyframes added.
     pub keyframes: usize,
-    /// Number of loop closures between the two maps; with 0 their relative pose is unknown.
+    /// Number of loop closures between the two maps.
     pub loops: usize,
+    /// Number of edges between the two maps by markers that both have seen. Where this and `loops`
+    /// are 0 their relative pose is unknown.
+    pub markers: usize,
 }
 
 /// Merges `other` into the map that `mapper` continues ([`Mapper::continuing`]). Its keyframes are
@@ -23,6 +27,10 @@ pub struct Merged {
 /// agree, all of it moves to where they imply, and every further loop closure refines it. New
 /// keyframes are numbered after the map's; session numbers are kept and should not be in use in the
 /// map. This finishes the mapper.
+///
+/// `sightings` are the markers of `other`, with its numbers of keyframes. They are tied to those
+/// that the mapper remembers ([`Mapper::remember_sightings`]), and are afterwards its own
+/// ([`Mapper::own_sightings`]).
 ///
 /// Fails if the cameras differ, or an image cannot be loaded or stored. After an error, and if no
 /// loop closure connects the two, what was stored in `images` is useless and the caller must remove
@@ -32,6 +40,7 @@ pub fn merge(
     images: &mut dyn KeyframeStore,
     other: &GroundMap,
     other_images: &mut dyn KeyframeImages,
+    sightings: &[MarkerSighting],
 ) -> Result<Merged> {
     if other.camera != mapper.map().camera {
         return Err(Error::input("the two maps were made with different cameras and cannot be joined"));
@@ -58,11 +67,20 @@ pub fn merge(
             mask: None,
         };
         mapper.made(new, keyframe.session, &edges, image.color, images)?;
+        // Its height is now that of the other map.
+        let metres = keyframe.pose.height_m / keyframe.odometry_pose.height_m;
+        let seen: Vec<MarkerSighting> = sightings
+            .iter()
+            .filter(|sighting| sighting.keyframe == keyframe.id)
+            .map(|sighting| sighting.rescaled(metres))
+            .collect();
+        mapper.add_sightings(&seen, images)?;
         mapper.settle_where_due();
     }
     mapper.compared = ComparedKeyframes::All;
     mapper.finish();
-    Ok(Merged { keyframes: other.keyframes.len(), loops: mapper.closures().len() })
+    let (loops, markers) = (mapper.closures().len(), mapper.marker_edges());
+    Ok(Merged { keyframes: other.keyframes.len(), loops, markers })
 }
 
 /// Optimises the poses of a map and computes their covariances.

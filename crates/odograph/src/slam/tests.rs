@@ -239,7 +239,7 @@ fn a_second_drive_is_recognised_in_the_first_map() {
     world.drive(&mut alone, &mut alone_images, &poses);
     let other = alone.into_map();
     let mut joined = Mapper::continuing(map.clone(), &config(), LoopClosureConfig::default(), 1, next);
-    let merged = merge(&mut joined, &mut images, &other, &mut alone_images).unwrap();
+    let merged = merge(&mut joined, &mut images, &other, &mut alone_images, &[]).unwrap();
     assert_eq!(merged.keyframes, other.keyframes.len());
     assert!(merged.loops >= 2, "{merged:?}");
     let place = joined.map().keyframes.last().unwrap();

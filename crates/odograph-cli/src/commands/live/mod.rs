@@ -2,14 +2,16 @@
 //! a page in the browser.
 
 mod capture_arguments;
+mod gnss_arguments;
 mod outputs;
 mod ros2;
 mod serving;
 
-use super::run::{ConsoleObserver, LogArguments, MountedCameraArguments, print_summary};
+use super::run::{ConsoleObserver, LogArguments, MarkerArguments, MountedCameraArguments, print_summary};
 use super::site::SiteLinkArguments;
 use crate::{Outcome, interrupt};
 pub use capture_arguments::CaptureArguments;
+use gnss_arguments::GnssArguments;
 use odograph::error::Result;
 use odograph_live::Phase;
 use odograph_report::HtmlReporter;
@@ -38,6 +40,10 @@ pub struct LiveArguments {
     pub mounted: MountedCameraArguments,
     #[command(flatten)]
     pub capture: CaptureArguments,
+    #[command(flatten)]
+    pub markers: MarkerArguments,
+    #[command(flatten)]
+    pub gnss: GnssArguments,
     #[command(flatten)]
     pub ros2: Ros2Arguments,
     #[command(flatten)]
@@ -77,6 +83,7 @@ Examples:
   odograph live drive.mp4 --realtime --camera camera.yaml --height 1.20 --serve 8080
   odograph live /dev/video0 --camera camera.yaml --rig rig.toml --print poses | robot
   odograph live drive.mp4 --camera camera.yaml --height 1.20 --mcap drive.mcap -o drive/
+  odograph live /dev/video0 --camera camera.yaml --height 1.20 --gnss /dev/ttyACM0 -o field/
   odograph live /dev/video0 --camera camera.yaml --height 1.20 --site http://hall:8137/ --robot cart";
 
 /// Formats of the line printed for each frame.
@@ -87,13 +94,13 @@ pub enum Print {
 }
 
 impl LiveArguments {
-    /// The run with these options.
+    /// The run with these options, but for the sensors.
     fn builder(&self) -> RunBuilder {
         let folder = self.output.clone().unwrap_or_else(|| PathBuf::from(folder_name_now()));
         let source = SourcePlan { fps: self.capture.fps, ..SourcePlan::new(&self.source) };
         let run = RunBuilder::over(source).folder(folder).overwriting(self.force).reporter(HtmlReporter);
         let run = self.site.robot.iter().fold(run, RunBuilder::robot);
-        self.mounted.of_run(run)
+        self.markers.of_run(self.mounted.of_run(run))
     }
 }
 
@@ -105,14 +112,17 @@ pub fn live(arguments: LiveArguments) -> Result<Outcome> {
     let mut outputs = Outputs::new(&arguments)?;
     arguments.mounted.setup.question(arguments.quiet);
     let observer = ConsoleObserver::without_progress(arguments.quiet).with_log(arguments.log);
+    let gnss = arguments.gnss.source(&arguments.source)?;
+    let files = arguments.gnss.files(gnss.is_some());
     let options = LiveOptions {
         capture: arguments.capture.options(),
         shown: arguments.serve.serve.is_some(),
         mcap: arguments.mcap.clone(),
+        gnss,
     };
-    let run = match Ros2Run::of(&arguments)? {
+    let run = match Ros2Run::of(&arguments, &files)? {
         Some(ros2) => ros2.open(arguments.builder(), &options, &observer, &mut outputs)?,
-        None => arguments.builder().open_live(&options, &observer)?,
+        None => arguments.builder().sensors(files).open_live(&options, &observer)?,
     };
     let link = arguments.site.start(&run.folder().join("map.gpkg"), run.folder(), arguments.quiet)?;
     outputs.tell_losses_to(link.clone());

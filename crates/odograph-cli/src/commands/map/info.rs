@@ -4,7 +4,7 @@ use crate::{Outcome, console};
 use odograph::error::{Error, Result};
 use odograph::ground_map::GroundMap;
 use odograph::keyframe::{EdgeKind, KeyframeId};
-use odograph_map::{MapFile, PathFrame, SessionOrigin};
+use odograph_map::{MapFile, MapLandmark, PathFrame, SessionOrigin};
 use serde::Serialize;
 use std::collections::BTreeMap;
 use std::fmt::Write;
@@ -43,6 +43,26 @@ struct MapInfo {
     /// Least x and y, greatest x and y of the keyframes.
     extent_m: Option<[f64; 4]>,
     mosaic: Option<MosaicInfo>,
+    /// The markers on the ground, by family, number and place; left out in a map without any.
+    #[serde(skip_serializing_if = "Vec::is_empty")]
+    markers: Vec<MarkerInfo>,
+}
+
+/// A marker at a place, as all its sightings have it.
+#[derive(Debug, Serialize)]
+struct MarkerInfo {
+    family: String,
+    size_m: f64,
+    number: u32,
+    /// Mean of its sightings.
+    x_m: f64,
+    y_m: f64,
+    /// Standard deviation of x and y in the map, by the best of its sightings, metres.
+    sigma_m: f64,
+    sightings: usize,
+    sessions: Vec<u32>,
+    /// Time of its last sighting in its session, seconds.
+    last_s: f64,
 }
 
 #[derive(Debug, Serialize)]
@@ -152,7 +172,23 @@ fn gathered(file: &MapFile) -> Result<MapInfo> {
         features: map.keyframes.iter().map(|keyframe| keyframe.signature.features.len()).sum(),
         extent_m: extent_m(&map),
         mosaic,
+        markers: markers(file.landmarks()?),
     })
+}
+
+fn markers(landmarks: Vec<MapLandmark>) -> Vec<MarkerInfo> {
+    let info = |landmark: MapLandmark| MarkerInfo {
+        family: landmark.family,
+        size_m: landmark.size_m,
+        number: landmark.number,
+        x_m: landmark.pose.x_m,
+        y_m: landmark.pose.y_m,
+        sigma_m: landmark.sigma_m,
+        sightings: landmark.sightings,
+        sessions: landmark.sessions,
+        last_s: landmark.last_s,
+    };
+    landmarks.into_iter().map(info).collect()
 }
 
 /// Length of the path, metres; what was not measured does not count.
@@ -240,6 +276,23 @@ fn described(info: &MapInfo, checked: bool) -> String {
             );
         }
         None => text.push_str("mosaic     none; odograph map mosaic renders it\n"),
+    }
+    for marker in &info.markers {
+        let sessions: Vec<String> = marker.sessions.iter().map(ToString::to_string).collect();
+        let _ = writeln!(
+            text,
+            "marker {:<3} {}:{}mm at x {:.3} m, y {:.3} m, ± {:.1} mm; seen {} time{}, session{} {}",
+            marker.number,
+            marker.family,
+            (1e6 * marker.size_m).round() / 1e3,
+            marker.x_m,
+            marker.y_m,
+            1e3 * marker.sigma_m,
+            marker.sightings,
+            if marker.sightings == 1 { "" } else { "s" },
+            if sessions.len() == 1 { "" } else { "s" },
+            sessions.join(", ")
+        );
     }
     for session in &info.sessions {
         let _ = writeln!(

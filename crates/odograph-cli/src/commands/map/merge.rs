@@ -6,10 +6,11 @@ use odograph::error::{Error, Result};
 use odograph::ground_map::KeyframeStore;
 use odograph::ground_map::{KeyframeImage, KeyframeImages, MapKeyframe};
 use odograph::keyframe::{KeyframeId, MapEdge};
+use odograph::landmark::{MarkerSighting, PlacedSighting};
 use odograph::loop_closure::LoopClosureConfig;
 use odograph::odometry::OdometryConfig;
 use odograph::slam::{self, Mapper};
-use odograph_map::{KeyframeMove, MapClaim, MapFile, corrected_path};
+use odograph_map::{KeyframeMove, MapClaim, MapFile, MapMarker, corrected_path};
 use std::fs;
 use std::path::{Path, PathBuf};
 
@@ -94,10 +95,14 @@ fn joined(first: &Path, others: &[PathBuf], path: &Path, arguments: &MergeArgume
         let (back, added) = join(file, other, arguments)?;
         file = back;
         summary += &format!(
-            "{}: {} keyframes, seen again in {} places\n",
+            "{}: {} keyframes, seen again in {} places{}\n",
             console::name(other),
             added.merged.keyframes,
-            added.merged.loops
+            added.merged.loops,
+            match added.merged.markers {
+                0 => String::new(),
+                ties => format!(", tied {ties} times by markers"),
+            }
         );
         finest_m = match (finest_m, added.mosaic_m) {
             (Some(a), Some(b)) => Some(a.min(b)),
@@ -152,9 +157,14 @@ fn join(mut file: MapFile, path: &Path, arguments: &MergeArguments) -> Result<(M
     let last = map.keyframes.iter().map(|keyframe| keyframe.session).max().unwrap_or(0);
     let mut mapper = Mapper::continuing(map, &odometry, LoopClosureConfig::default(), last + 1, beginning);
     let pictures = MapFile::open_read_only(path)?;
+    let mut markers = MarkerNumbers::default();
+    let here = markers.of_all(file.markers()?);
+    let common = markers.of_all(other.markers()?);
     let mut store = Joined { file, other: pictures, beginning: beginning.0 };
-    let merged = slam::merge(&mut mapper, &mut store, &added, &mut other)?;
-    if merged.loops == 0 {
+    let common: Vec<MarkerSighting> = common.iter().map(|placed| placed.sighting).collect();
+    mapper.remember_sightings(here);
+    let merged = slam::merge(&mut mapper, &mut store, &added, &mut other, &common)?;
+    if merged.loops + merged.markers == 0 {
         let earlier = if arguments.maps.len() > 2 { "the maps before it" } else { "the other" };
         return Err(Error::input(format!(
             "no ground of {} was recognised in {earlier}, so their relative position is not known; a \
@@ -166,6 +176,10 @@ fn join(mut file: MapFile, path: &Path, arguments: &MergeArguments) -> Result<(M
     let keyframes = &mapper.map().keyframes;
     let poses: Vec<_> = keyframes.iter().map(|k| (k.id, k.pose, k.covariance)).collect();
     file.set_poses(&poses)?;
+    for placed in mapper.own_sightings() {
+        let (family, size_m, placed) = markers.as_printed(placed);
+        file.add_markers(family, size_m, &[placed])?;
+    }
     for (old, new) in sessions {
         let moves: Vec<KeyframeMove> = before
             .iter()
@@ -180,6 +194,35 @@ fn join(mut file: MapFile, path: &Path, arguments: &MergeArguments) -> Result<(M
         file.set_path(new, &corrected_path(&other.path_of(old)?, &moves))?;
     }
     Ok((file, Added { merged, mosaic_m }))
+}
+
+/// The markers of both maps, numbered through: those of two families or sizes are never the same.
+#[derive(Default)]
+struct MarkerNumbers {
+    /// Family, side in nanometres and printed number, by the number here.
+    known: Vec<(String, i64, u32)>,
+}
+
+impl MarkerNumbers {
+    fn of_all(&mut self, markers: Vec<MapMarker>) -> Vec<PlacedSighting> {
+        let mut number = |MapMarker { family, size_m, mut placed, .. }: MapMarker| {
+            let known = (family, (size_m * 1e9).round() as i64, placed.sighting.number);
+            let at = self.known.iter().position(|other| *other == known).unwrap_or_else(|| {
+                self.known.push(known);
+                self.known.len() - 1
+            });
+            placed.sighting.number = at as u32;
+            placed
+        };
+        markers.into_iter().map(&mut number).collect()
+    }
+
+    /// Family, side in metres, and the sighting with the printed number.
+    fn as_printed(&self, placed: &PlacedSighting) -> (&str, f64, PlacedSighting) {
+        let (family, side_nm, number) = &self.known[placed.sighting.number as usize];
+        let sighting = MarkerSighting { number: *number, ..placed.sighting };
+        (family, 1e-9 * *side_nm as f64, PlacedSighting { sighting, ..*placed })
+    }
 }
 
 /// The growing joined map: images are copied from the other map unchanged.

@@ -2,6 +2,7 @@
 
 mod console_observer;
 mod many;
+mod markers;
 mod mounted_camera;
 mod sensors;
 mod summary;
@@ -11,6 +12,7 @@ use super::site::SiteLinkArguments;
 use crate::{Outcome, console, files};
 use console_observer::Progress;
 pub use console_observer::{ConsoleObserver, LogArguments};
+pub use markers::MarkerArguments;
 pub use mounted_camera::{
     CameraSetup, FieldOfView, Motion, MountedCameraArguments, PoseFrameName, ProfileChoice,
 };
@@ -63,20 +65,10 @@ pub struct RunArguments {
     pub budget_ms: Option<f64>,
     #[command(flatten)]
     pub sensors: SensorArguments,
-    /// Markers on the ground: family, dictionary and side of the black square.
-    ///
-    /// apriltag:36h11:80mm, or aruco:4x4_50:80mm and other dictionaries. A marker that is seen
-    /// again closes a loop, exactly and without confusing places.
-    #[arg(help_heading = "Estimation", long, value_name = "FAMILY:SIZE", conflicts_with = "no_loops")]
-    pub markers: Option<String>,
-    /// Surveyed places of markers (CSV: marker, x_m, y_m; sigma_m, heading_deg).
-    ///
-    /// Path and map are then in their frame and their metres: a wrong height is corrected, and a
-    /// wrong line is left out and named.
-    #[arg(help_heading = "Estimation", long, value_name = "FILE", requires = "markers")]
-    pub control: Option<PathBuf>,
+    #[command(flatten)]
+    pub markers: MarkerArguments,
     /// Do not look for ground that was seen before: the path is what odometry alone has.
-    #[arg(help_heading = "Estimation", long)]
+    #[arg(help_heading = "Estimation", long, conflicts_with = "markers")]
     pub no_loops: bool,
     /// A path from elsewhere (TUM) to show beside that of the run in the report.
     ///
@@ -250,8 +242,7 @@ impl RunArguments {
         let run = self.mounted.of_run(run);
         let run = self.budget_ms.iter().fold(run, |run, budget_ms| run.budget_ms(*budget_ms));
         let run = self.reference.iter().fold(run, RunBuilder::reference);
-        let run = self.markers.iter().fold(run, RunBuilder::markers);
-        let run = self.control.iter().fold(run, RunBuilder::control);
+        let run = self.markers.of_run(run);
         if self.no_loops { run.without_loops() } else { run }
     }
 
@@ -296,8 +287,8 @@ impl RunArguments {
             ("--gnss", self.sensors.gnss.is_some()),
             ("--gnss-topic", self.sensors.gnss_topic.is_some()),
             ("--gnss-start", self.sensors.gnss_start.is_some()),
-            ("--markers", self.markers.is_some()),
-            ("--control", self.control.is_some()),
+            ("--markers", self.markers.markers.is_some()),
+            ("--control", self.markers.control.is_some()),
             ("--no-loops", self.no_loops),
             ("--reference", self.reference.is_some()),
         ]

@@ -8,7 +8,7 @@ use odograph::mosaic::{MapMosaic, Mosaic, MosaicSquare};
 use odograph_live::ground::GrowingTiles;
 use odograph_live::{GroundPicture, Mark, TiledGround, TrackRecord};
 use odograph_map::{MapFile, PathFrame};
-use odograph_session::live::map_graph;
+use odograph_session::live::{map_graph, map_markers};
 use serde_json::Value;
 use std::collections::BTreeMap;
 use std::path::Path;
@@ -29,6 +29,8 @@ pub struct MapView {
     pub sessions: Vec<Mark>,
     /// Keyframes, and the loops between them.
     pub graph: Value,
+    /// The markers on the ground.
+    pub markers: Value,
     pub source: String,
     pub size: (usize, usize),
     pub height_m: f64,
@@ -72,6 +74,7 @@ impl MapView {
         let camera = &map.camera;
         Ok(Self {
             graph: map_graph(&map),
+            markers: map_markers(file.landmarks()?.into_iter().map(|at| (at.number, at.pose))),
             records,
             sessions,
             source: sources.join(", "),

@@ -105,6 +105,9 @@ fn serve_map(path: &Path, serve: &ServeArguments, ended: &Arc<AtomicBool>) -> Re
     let hub = Arc::new(Hub::new(introduction, Arc::from(ground)));
     let serving = Serving::start(serve, hub, offer)?;
     serving.hub().notify("map", &view.graph);
+    if view.markers.as_array().is_some_and(|markers| !markers.is_empty()) {
+        serving.hub().notify("markers", &view.markers);
+    }
     show(&serving, &view.records, view.sessions);
     Ok(serving)
 }

@@ -2,6 +2,11 @@
 
 use super::ground;
 use super::{made, odograph, text};
+use nalgebra::Matrix3;
+use odograph::geometry::Se2;
+use odograph::keyframe::KeyframeId;
+use odograph::landmark::{MarkerSighting, PlacedSighting};
+use odograph_map::MapFile;
 use serde_json::Value;
 use std::path::Path;
 use std::process::Command;
@@ -66,6 +71,38 @@ fn gdal_opens_a_map_with_layers_tiles_and_extent() {
     assert!((-0.45..-0.1).contains(&left) && (1.1..1.45).contains(&right), "{picture}");
     assert!((-0.55..-0.2).contains(&bottom) && (0.5..0.85).contains(&top), "{picture}");
     assert!(picture.contains("Overviews"), "{picture}");
+}
+
+#[test]
+fn gdal_reads_the_markers_of_a_map() {
+    let folder = made();
+    let mut map = MapFile::open(&folder.path().join("map.gpkg")).unwrap();
+    let sighting = MarkerSighting {
+        number: 7,
+        keyframe: KeyframeId(4),
+        keyframe_from_marker: Se2::new(0.1, 0.05, 0.7),
+        covariance: Matrix3::identity() * 1e-8,
+        side_m: 0.0801,
+        side_sigma_m: 1e-4,
+    };
+    map.add_markers("apriltag:36h11", 0.08, &[PlacedSighting { sighting, place: 0, visit: 0 }]).unwrap();
+    let place = map.landmarks().unwrap()[0].pose;
+    map.close().unwrap();
+    let Some(layers) = gdal("ogrinfo", &["-ro", "-so", "map.gpkg", "marker_sightings"], folder.path()) else {
+        return;
+    };
+    assert!(layers.contains("Geometry: Point") && layers.contains("Feature Count: 1"), "{layers}");
+    assert!((number(&layers, "Extent: (") - place.x_m).abs() < 1e-6, "{layers}");
+    let one = gdal("ogrinfo", &["-ro", "-q", "map.gpkg", "marker_sightings"], folder.path()).unwrap();
+    assert!((number(&one, "POINT (") - place.x_m).abs() < 1e-9, "{one}");
+    for field in [
+        "family (String) = apriltag:36h11",
+        "number (Integer) = 7",
+        "size_m (Real) = 0.08",
+        "session (Integer) = 0",
+    ] {
+        assert!(one.replace("Integer64", "Integer").contains(field), "{field} in\n{one}");
+    }
 }
 
 #[test]

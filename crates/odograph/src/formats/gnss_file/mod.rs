@@ -11,9 +11,11 @@
 //! since midnight.
 
 mod gpx;
+mod lines;
 mod nmea;
 mod utc;
 
+pub use lines::{GnssLines, ReceivedFixes};
 pub use utc::parse_utc;
 
 use super::columns::{Columns, shortened};

@@ -23,19 +23,25 @@ struct Epoch {
     sigmas_m: Option<[f64; 2]>,
 }
 
-/// Reads the positions.
-pub fn parse(text: &str) -> Result<Vec<GnssFix>> {
-    let mut epochs: Vec<Epoch> = Vec::new();
-    for (index, line) in text.lines().enumerate() {
-        let Some(fields) = sentence(line) else { continue };
-        let Some(time_of_day_s) = fields.get(1).and_then(|time| time_of_day(time)) else { continue };
+/// Sentences as they come, by their times.
+#[derive(Debug, Default)]
+pub struct Sentences {
+    epochs: Vec<Epoch>,
+}
+
+impl Sentences {
+    /// Takes a line, which is numbered from 0. Fails if a position is impossible.
+    pub fn push(&mut self, number: usize, line: &str) -> Result<()> {
+        let Some(fields) = sentence(line) else { return Ok(()) };
+        let Some(time_of_day_s) = fields.get(1).and_then(|time| time_of_day(time)) else { return Ok(()) };
         let kind = fields[0].get(2..).unwrap_or_default();
         if !["GGA", "RMC", "GST"].contains(&kind) {
-            continue;
+            return Ok(());
         }
-        if epochs.last().is_none_or(|last| last.time_of_day_s != time_of_day_s) {
-            epochs.push(Epoch {
-                line: index + 1,
+        let line = number + 1;
+        if self.epochs.last().is_none_or(|last| last.time_of_day_s != time_of_day_s) {
+            self.epochs.push(Epoch {
+                line,
                 time_of_day_s,
                 day: None,
                 place: None,
@@ -44,14 +50,40 @@ pub fn parse(text: &str) -> Result<Vec<GnssFix>> {
                 sigmas_m: None,
             });
         }
-        let Some(epoch) = epochs.last_mut() else { continue };
+        let Some(epoch) = self.epochs.last_mut() else { return Ok(()) };
         match kind {
-            "GGA" => gga(&fields, index + 1, epoch)?,
-            "RMC" => rmc(&fields, index + 1, epoch)?,
-            _ => gst(&fields, epoch),
+            "GGA" => gga(&fields, line, epoch),
+            "RMC" => rmc(&fields, line, epoch),
+            _ => {
+                gst(&fields, epoch);
+                Ok(())
+            }
         }
     }
-    fixes(&epochs)
+
+    /// The positions with the numbers of their first lines, in the order of the lines.
+    pub fn dated(&self) -> Vec<(usize, GnssFix)> {
+        let dated = self.epochs.iter().zip(times_s(&self.epochs));
+        dated.filter_map(|(epoch, time_s)| Some((epoch.line - 1, epoch.fix(time_s)?))).collect()
+    }
+}
+
+impl Epoch {
+    /// The position at this time; `None` where there is none.
+    fn fix(&self, time_s: f64) -> Option<GnssFix> {
+        let place = self.place.filter(|_| self.usual_m != Some(f64::INFINITY))?;
+        let usual_m = self.usual_m.unwrap_or(GnssFix::USUAL_SIGMA_M);
+        let [east_m, north_m] = self.sigmas_m.unwrap_or([usual_m; 2]);
+        let covariance_m2 = GnssFix::covariance_m2(east_m, north_m);
+        Some(GnssFix { time_s, place, altitude_m: self.altitude_m, covariance_m2 })
+    }
+}
+
+/// Reads the positions.
+pub fn parse(text: &str) -> Result<Vec<GnssFix>> {
+    let mut sentences = Sentences::default();
+    text.lines().enumerate().try_for_each(|(number, line)| sentences.push(number, line))?;
+    fixes(&sentences.epochs)
 }
 
 /// The fields of a sentence without its checksum, the first as `GPGGA`; `None` if it is cut off or
@@ -143,9 +175,9 @@ fn gst(fields: &[&str], epoch: &mut Epoch) {
     }
 }
 
-/// The positions with their dates: that of the nearest earlier sentence with one, otherwise
-/// after; midnight begins the next day.
-fn fixes(epochs: &[Epoch]) -> Result<Vec<GnssFix>> {
+/// The times of the epochs, seconds since 1970: the date is that of the nearest earlier sentence
+/// with one, otherwise of a later one; midnight begins the next day.
+fn times_s(epochs: &[Epoch]) -> Vec<f64> {
     let mut day = 0;
     // Days since the first epoch's.
     let mut since: Vec<i64> = Vec::with_capacity(epochs.len());
@@ -157,21 +189,25 @@ fn fixes(epochs: &[Epoch]) -> Result<Vec<GnssFix>> {
     }
     let first = epochs.iter().zip(&since).find_map(|(epoch, since)| Some(epoch.day? - since));
     let mut offset = first.unwrap_or(0);
-    let mut fixes: Vec<GnssFix> = Vec::new();
-    let mut before_s = f64::NEG_INFINITY;
-    for (epoch, since) in epochs.iter().zip(&since) {
+    let time_s = |(epoch, since): (&Epoch, &i64)| {
         offset = epoch.day.map_or(offset, |day| day - since);
-        let time_s = (offset + since) as f64 * DAY_S + epoch.time_of_day_s;
+        (offset + since) as f64 * DAY_S + epoch.time_of_day_s
+    };
+    epochs.iter().zip(&since).map(time_s).collect()
+}
+
+/// The positions. Fails if a time is not later than the one before, or if there is none.
+fn fixes(epochs: &[Epoch]) -> Result<Vec<GnssFix>> {
+    let times_s = times_s(epochs);
+    let mut before_s = f64::NEG_INFINITY;
+    for (epoch, &time_s) in epochs.iter().zip(&times_s) {
         if time_s <= before_s {
             return Err(not_later(epoch.line, time_s, before_s));
         }
         before_s = time_s;
-        let Some(place) = epoch.place.filter(|_| epoch.usual_m != Some(f64::INFINITY)) else { continue };
-        let usual_m = epoch.usual_m.unwrap_or(GnssFix::USUAL_SIGMA_M);
-        let [east_m, north_m] = epoch.sigmas_m.unwrap_or([usual_m; 2]);
-        let covariance_m2 = GnssFix::covariance_m2(east_m, north_m);
-        fixes.push(GnssFix { time_s, place, altitude_m: epoch.altitude_m, covariance_m2 });
     }
+    let fixes: Vec<GnssFix> =
+        epochs.iter().zip(times_s).filter_map(|(epoch, time_s)| epoch.fix(time_s)).collect();
     if fixes.is_empty() {
         return Err(Error::input(
             "there is no position in the sentences: none of GGA with a fix, none of RMC",

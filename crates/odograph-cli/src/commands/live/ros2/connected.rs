@@ -37,8 +37,8 @@ fn topic(name: &Option<String>) -> Result<Option<TopicName>> {
 }
 
 impl Ros2Run {
-    /// Joins ROS 2 if it is asked for.
-    pub fn of(arguments: &LiveArguments) -> Result<Option<Self>> {
+    /// Joins ROS 2 if it is asked for. `files` are those of sensors that are not of ROS 2.
+    pub fn of(arguments: &LiveArguments, files: &SensorFiles) -> Result<Option<Self>> {
         let ros2 = &arguments.ros2;
         let images: Option<TopicName> = arguments.source.strip_prefix(SOURCE).map(str::parse).transpose()?;
         if let (None, Some(option)) = (&images, ros2.topic_beside_images()) {
@@ -69,7 +69,7 @@ impl Ros2Run {
             gyro_topic: name(&gyro),
             wheel_topic: name(&wheel),
             range_topic: name(&range),
-            ..SensorFiles::default()
+            ..files.clone()
         };
         let node = Node::join()?;
         let options = images.map(|images| {
@@ -100,7 +100,7 @@ impl Ros2Run {
     ) -> Result<LiveRun> {
         let Self { node, images, mut publishing, sensors, needs_camera, needs_mount, height_m } = self;
         let Some(mut images) = images else {
-            let run = run.open_live(options, observer)?;
+            let run = run.sensors(sensors).open_live(options, observer)?;
             if let Some(publishing) = publishing {
                 outputs.publish_with(RunPublisher::new(&node, &publishing, None)?);
             }

@@ -5,7 +5,7 @@ use super::super::outputs::Outputs;
 use super::SOURCE;
 use odograph::error::{Error, Result};
 use odograph_session::live::{LiveOptions, LiveRun};
-use odograph_session::{Observer, RunBuilder};
+use odograph_session::{Observer, RunBuilder, SensorFiles};
 
 /// A run with ROS 2, which there is none of.
 #[derive(Debug)]
@@ -13,7 +13,7 @@ pub enum Ros2Run {}
 
 impl Ros2Run {
     /// Fails if ROS 2 is asked for.
-    pub fn of(arguments: &LiveArguments) -> Result<Option<Self>> {
+    pub fn of(arguments: &LiveArguments, _: &SensorFiles) -> Result<Option<Self>> {
         let ros2 = &arguments.ros2;
         let asked = if arguments.source.starts_with(SOURCE) {
             Some(arguments.source.as_str())
