@@ -358,7 +358,7 @@ impl Finishing<'_> {
         let map = self.tracked.mapping.written().map(Path::to_owned);
         let closed = self.tracked.mapping.close();
         let mapper = self.tracked.mapping.mapper();
-        let looked_for = self.ending.output.map.is_read_only() && place.is_none();
+        let looked_for = self.ending.output.map.path().is_some() && place.is_none();
         let statistics = statistics_of(
             &self.tracked,
             &frames,
