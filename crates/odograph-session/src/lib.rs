@@ -74,6 +74,7 @@ mod marker_statistics;
 mod planning;
 mod found;
 mod tilt;
+mod stillness;
 mod earth_statistics;
 mod statistics;
 mod folder;

@@ -85,6 +85,11 @@ impl RunOutput {
         self.threads.unwrap_or(3)
     }
 
+    /// Whether a place in a map is asked for: one frame is enough then.
+    pub fn localizes(&self) -> bool {
+        self.least_frames == 1
+    }
+
     /// Name of the source in the map; `typed` is that of this run.
     pub fn source_name(&self, typed: &str) -> String {
         self.resumed.as_ref().map_or(typed, |resumed| &resumed.source).to_owned()

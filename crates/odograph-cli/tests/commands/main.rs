@@ -28,5 +28,6 @@ mod robot;
 mod sensors;
 mod simulate;
 mod site;
+mod stillness;
 mod undistort;
 mod usage;

@@ -21,6 +21,7 @@ use crate::report::RunReporter;
 use crate::resemblance::Resemblance;
 use crate::ros_bag::RosBagWriter;
 use crate::statistics::interruption;
+use crate::stillness::stillness_warning;
 use crate::{files, pictures, reference, tilt};
 use improvement::{Improved, carrier_frames};
 use odograph::error::{Error, Result};
@@ -147,7 +148,8 @@ impl Finishing<'_> {
         self.failure.get_or_insert(error);
     }
 
-    /// Warns where the estimated mount, lens or readout time differs from the plan.
+    /// Warns where the estimated mount, lens or readout time differs from the plan, and where
+    /// nothing moves.
     fn report_calibration(&mut self) -> Result<()> {
         let warning = match &self.tracked.mount {
             Some(found) if self.tracked.live.is_some() => Some(found.live_sentence()),
@@ -165,6 +167,11 @@ impl Finishing<'_> {
         self.warn(reads);
         let combed = self.tracked.interlaced.then(|| INTERLACED.to_owned());
         self.warn(combed);
+        // A camera may well stand where it asks for its place.
+        if !self.ending.output.localizes() {
+            let stands = stillness_warning(&mut self.tracked.frames, &self.plan.camera)?;
+            self.warn(stands);
+        }
         Ok(())
     }
 
