@@ -58,6 +58,8 @@ pub(crate) struct RunOutput {
     pub resumed: Option<ResumedSession>,
     /// A bag of ROS 2 to write, an MCAP file.
     pub bag: Option<PathBuf>,
+    /// An overlay video to write, an AVI file.
+    pub video: Option<PathBuf>,
     /// `None`: as many as are useful.
     pub threads: Option<usize>,
     /// Minimum number of frames of a recording.
@@ -73,6 +75,7 @@ impl Default for RunOutput {
             robot: None,
             resumed: None,
             bag: None,
+            video: None,
             threads: None,
             least_frames: 2,
         }

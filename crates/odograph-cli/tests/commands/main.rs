@@ -19,6 +19,7 @@ mod hostile;
 mod many;
 mod map;
 mod markers;
+mod overlay_video;
 mod pages;
 mod pattern;
 mod profile;

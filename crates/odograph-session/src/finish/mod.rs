@@ -128,6 +128,7 @@ impl Finishing<'_> {
         let mut improved =
             Improved::new(&mut self.tracked, plan, ending.sensors, ending.gnss, self.folder.path())?;
         self.write_paths(&mut improved)?;
+        self.report_video();
         improved.observe(&mut self.tracked, &pose_frames, ending.observer)?;
         let frames = improved.summaries(&mut self.tracked, &pose_frames)?;
         let place = self.place_in_map(&mut improved)?;
@@ -212,6 +213,18 @@ impl Finishing<'_> {
             self.fail("there is no bag", error);
         }
         Ok(())
+    }
+
+    /// Reports the overlay video, which was written while tracking.
+    fn report_video(&mut self) {
+        match self.tracked.video.take() {
+            Some(Ok(warning)) => {
+                self.folder.is_written(self.ending.output.video.clone().unwrap_or_default());
+                self.warn(warning);
+            }
+            Some(Err(error)) => self.fail("there is no overlay video", error),
+            None => {}
+        }
     }
 
     /// The bag of ROS 2: frames as odometry had them, and where they finally are.
