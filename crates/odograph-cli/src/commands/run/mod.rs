@@ -122,7 +122,7 @@ pub struct RunArguments {
     /// /tf_static and /diagnostics, for `ros2 bag play` and others.
     #[arg(help_heading = "Results", long, value_name = "FILE")]
     pub bag_out: Option<PathBuf>,
-    /// Write a video of the drive: tracked corners, status, speed and the path so far (.avi).
+    /// Write a video of the drive: corners, status, speed, path so far (.avi).
     ///
     /// Motion JPEG in AVI. Every frame as it was tracked, before loop closures and other sensors,
     /// with the reason where it was lost. Results do not depend on it.
