@@ -3,7 +3,8 @@
 //! What a person looks at after a run or a calibration: self-contained HTML pages, plots as SVG,
 //! and drawings as PNG with embedded fonts, so that they are the same on every machine.
 //!
-//! [`HtmlReporter`] gives a run of `odograph-session` its `report.html`, `map.png` and overlay video:
+//! [`HtmlReporter`] gives a run of `odograph-session` its `report.html`, `map.png` and overlay
+//! video:
 //!
 //! ```no_run
 //! use odograph_session::RunBuilder;
