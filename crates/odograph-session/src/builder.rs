@@ -286,8 +286,8 @@ impl RunBuilder {
         self
     }
 
-    /// An overlay video to write (`.avi`, Motion JPEG): each frame with its tracked corners, status,
-    /// figures and the path so far, as it was tracked. Needs a reporter that can draw it.
+    /// An overlay video to write (`.avi`, Motion JPEG): each frame with its tracked corners,
+    /// status, figures and the path so far, as it was tracked. Needs a reporter that can draw it.
     #[must_use]
     pub fn video(mut self, path: impl Into<PathBuf>) -> Self {
         self.output.video = Some(path.into());

@@ -34,8 +34,8 @@ impl Canvas {
         canvas
     }
 
-    /// An image reduced by a whole factor: means of squares of `down` by `down` pixels. What is left
-    /// over at the right and at the bottom is cut off.
+    /// An image reduced by a whole factor: means of squares of `down` by `down` pixels. What is
+    /// left over at the right and at the bottom is cut off.
     pub fn reduced(image: &RgbImage, down: usize) -> Self {
         let down = down.max(1);
         let mut canvas = Self::new(image.width() / down, image.height() / down);
