@@ -125,7 +125,7 @@ pub fn weakest(frames: &[FrameSummary], count: usize) -> Vec<&FrameSummary> {
 }
 
 /// The reason as a sentence for the report.
-fn in_words(reason: LossReason) -> &'static str {
+pub(crate) fn in_words(reason: LossReason) -> &'static str {
     match reason {
         LossReason::Bare => "too little texture to track (bare floor, something over the lens)",
         LossReason::Dark => "too dark to see anything",

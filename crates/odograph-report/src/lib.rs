@@ -3,7 +3,8 @@
 //! What a person looks at after a run or a calibration: self-contained HTML pages, plots as SVG,
 //! and drawings as PNG with embedded fonts, so that they are the same on every machine.
 //!
-//! [`HtmlReporter`] gives a run of `odograph-session` its `report.html` and `map.png`:
+//! [`HtmlReporter`] gives a run of `odograph-session` its `report.html`, `map.png` and overlay
+//! video:
 //!
 //! ```no_run
 //! use odograph_session::RunBuilder;
@@ -21,6 +22,7 @@ mod charts;
 pub mod evaluation_plot;
 mod figures;
 mod ground_view;
+mod overlay;
 mod page;
 mod parts;
 mod photograph;
@@ -33,10 +35,11 @@ pub use page::html;
 pub use raster::{MAP_WIDTH_PX, drawing_png, gray_picture};
 pub use recordings::recordings_html;
 
+use odograph::camera::Camera;
 use odograph::error::Result;
-use odograph_session::{ReportInput, RunReporter};
+use odograph_session::{FramePainter, ReportInput, RunReporter};
 
-/// The report of a run as a page for the browser.
+/// The report of a run as a page for the browser, and its overlay video.
 #[derive(Debug, Clone, Copy, Default)]
 pub struct HtmlReporter;
 
@@ -47,6 +50,11 @@ impl RunReporter for HtmlReporter {
 
     fn page(&self, contents: &ReportInput<'_>) -> String {
         html(contents)
+    }
+
+    fn frame_painter(&self, camera: &Camera) -> Option<Box<dyn FramePainter>> {
+        let painter = overlay::OverlayPainter::new(camera).ok()?;
+        Some(Box::new(painter))
     }
 }
 

@@ -28,6 +28,8 @@ pub(crate) struct BegunRun {
     pub key: Option<String>,
     /// The bag of ROS 2 that it writes, an absolute path.
     pub bag: Option<PathBuf>,
+    /// The overlay video that it writes, an absolute path.
+    pub video: Option<PathBuf>,
     pub plan: RunPlan,
 }
 
@@ -64,6 +66,7 @@ pub(crate) fn begin(
         robot: output.robot.clone(),
         key: origin.map(|origin| origin.key.clone()),
         bag: output.bag.as_deref().map(absolute),
+        video: output.video.as_deref().map(absolute),
         plan: plan.seen_from(folder),
     };
     let text = toml::to_string(&begun).map_err(|error| {

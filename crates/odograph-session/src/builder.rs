@@ -286,6 +286,14 @@ impl RunBuilder {
         self
     }
 
+    /// An overlay video to write (`.avi`, Motion JPEG): each frame with its tracked corners,
+    /// status, figures and the path so far, as it was tracked. Needs a reporter that can draw it.
+    #[must_use]
+    pub fn video(mut self, path: impl Into<PathBuf>) -> Self {
+        self.output.video = Some(path.into());
+        self
+    }
+
     /// Number of threads; results do not depend on it. By default as many as are useful.
     #[must_use]
     pub fn threads(mut self, threads: usize) -> Self {

@@ -38,6 +38,7 @@
 //! | follow a camera as it moves | the feature `live`, then `RunBuilder::open_live` |
 //! | know what will limit the accuracy, before a run | [`RunBuilder::examine`] |
 //! | run many recordings, on many machines | [`batch::Batch`]
+//! | have an overlay video | [`RunBuilder::video`] |
 //! | have `report.html` and `map.png` | [`RunBuilder::reporter`] with `odograph-report` |
 //!
 //! The modules are listed in the order of their dependencies: a module imports only modules listed
@@ -67,6 +68,7 @@ mod begun_run;
 mod unfinished;
 mod reference;
 mod report;
+mod overlay_video;
 mod builder;
 mod resuming;
 mod markers;
@@ -74,6 +76,7 @@ mod marker_statistics;
 mod planning;
 mod found;
 mod tilt;
+mod stillness;
 mod earth_statistics;
 mod statistics;
 mod folder;
@@ -107,7 +110,7 @@ pub use output::MapUse;
 pub use place::PoseInMap;
 pub use plan::{FrameChoice, MarkerPlan, RunPlan, SourcePlan, check_recording, open_recording};
 pub use reference::ComparedReference;
-pub use report::{ReportInput, ReportMark, ReportMosaic, RunReporter};
+pub use report::{FramePainter, OverlayFrame, ReportInput, ReportMark, ReportMosaic, RunReporter};
 pub use resemblance::{AlikePlace, Resemblance, ResemblanceVerdict};
 pub use rig::{doubtful_unit, other_size, parse_camera, read_rig, rig_of_mount};
 pub use run::Run;

@@ -58,6 +58,8 @@ pub(crate) struct RunOutput {
     pub resumed: Option<ResumedSession>,
     /// A bag of ROS 2 to write, an MCAP file.
     pub bag: Option<PathBuf>,
+    /// An overlay video to write, an AVI file.
+    pub video: Option<PathBuf>,
     /// `None`: as many as are useful.
     pub threads: Option<usize>,
     /// Minimum number of frames of a recording.
@@ -73,6 +75,7 @@ impl Default for RunOutput {
             robot: None,
             resumed: None,
             bag: None,
+            video: None,
             threads: None,
             least_frames: 2,
         }
@@ -83,6 +86,11 @@ impl RunOutput {
     /// Number of threads: three by default, for decoding, tracking and mapping.
     pub fn threads(&self) -> usize {
         self.threads.unwrap_or(3)
+    }
+
+    /// Whether a place in a map is asked for: one frame is enough then.
+    pub fn localizes(&self) -> bool {
+        self.least_frames == 1
     }
 
     /// Name of the source in the map; `typed` is that of this run.

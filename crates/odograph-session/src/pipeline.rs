@@ -7,18 +7,20 @@ use crate::kept_frames::KeptFrames;
 use crate::mapping::Mapping;
 use crate::observer::Observer;
 use crate::output::RunOutput;
+use crate::overlay_video::OverlayVideo;
 use crate::plan::RunPlan;
-use crate::report::ReportMark;
+use crate::report::{OverlayFrame, ReportMark, RunReporter};
 use crate::statistics::LiveStatistics;
 use crate::timings::Timings;
 use crate::views::{MosaicFrames, Posed};
 use odograph::camera::{Camera, Rig};
 use odograph::error::{Error, Result};
-use odograph::odometry::{KeyframeEvent, Odometry};
+use odograph::odometry::{KeyframeEvent, Odometry, TrackView};
 use odograph::pose_frame::PoseFrame;
 use odograph::self_calibration::{CameraDifference, CameraMonitor, PassEnd};
 use odograph::trajectory::FrameEstimate;
 use odograph_video::{Frame, Source};
+use std::path::Path;
 use std::sync::mpsc;
 use std::thread;
 use std::time::Instant;
@@ -49,6 +51,9 @@ pub struct Tracked {
     /// The error that ended mapping early, such as a full disk. The path does not depend on the
     /// map.
     pub unmapped: Option<Error>,
+    /// The overlay video that was written, if any: a warning where it does not show the whole run,
+    /// or what prevented it.
+    pub video: Option<Result<Option<String>>>,
     /// The mount, where it differs from the plan.
     pub mount: Option<FoundMount>,
     /// The lens, where it differs from the plan.
@@ -88,6 +93,7 @@ pub fn track(
     source: Source,
     folder: &mut OutputFolder,
     output: &RunOutput,
+    reporter: Option<&dyn RunReporter>,
     monitor: CameraMonitor,
     observer: &dyn Observer,
 ) -> Result<PassEnd<Tracked>> {
@@ -95,7 +101,12 @@ pub fn track(
     odometry.record_keyframes();
     let mapping = Mapping::new(plan, folder, output)?;
     let views = MosaicFrames::new(&plan.camera, folder.path());
+    let video = match &output.video {
+        Some(path) => Some(begin_video(path, &plan.camera, reporter)?),
+        None => None,
+    };
     let mut tracking = TrackingStage {
+        shows: video.is_some(),
         odometry,
         pose_frame: plan.pose_frame()?,
         frames: KeptFrames::new(folder.path()),
@@ -110,7 +121,7 @@ pub fn track(
     let whole = plan.source.start_s.is_none() && plan.source.end_s.is_none();
     let announced = source.info().frame_count.filter(|_| whole);
     let mut decoding = DecodingStage { source, times: Timings::default(), observer };
-    let mut ground = MappingStage { views, mapping, unmapped: None, times: Timings::default() };
+    let mut ground = MappingStage { views, mapping, video, unmapped: None, times: Timings::default() };
     let outcome = match output.threads() {
         1 => one_by_one(&mut decoding, &mut tracking, &mut ground),
         threads => side_by_side(&mut decoding, &mut tracking, &mut ground, threads, queue(&plan.camera)),
@@ -122,7 +133,7 @@ pub fn track(
         ground.mapping.discard()?;
         return Ok(PassEnd::Differs(difference));
     }
-    let MappingStage { views, mapping, unmapped, times: map_times } = ground;
+    let MappingStage { views, mapping, video, unmapped, times: map_times } = ground;
     // An interrupt after the last frame changes no result.
     let interrupted = observer.is_stop_asked() && announced != Some(tracking.frames.count() as u64);
     Ok(PassEnd::Finished(Tracked {
@@ -147,9 +158,18 @@ pub fn track(
         live: None,
         failure: outcome.err(),
         unmapped,
+        video: video.map(OverlayVideo::finish),
         mount: None,
         lens: None,
     }))
+}
+
+/// Begins the overlay video of this camera.
+fn begin_video(path: &Path, camera: &Camera, reporter: Option<&dyn RunReporter>) -> Result<OverlayVideo> {
+    match reporter.and_then(|reporter| reporter.frame_painter(camera)) {
+        Some(painter) => OverlayVideo::new(path, painter),
+        None => Err(Error::usage(format!("{} needs a reporter that draws it", path.display()))),
+    }
 }
 
 /// The three stages in one thread.
@@ -242,6 +262,8 @@ impl DecodingStage<'_> {
 
 /// Stage two: tracking.
 struct TrackingStage<'a> {
+    /// Whether the frames are drawn for a video.
+    shows: bool,
     odometry: Odometry,
     /// The frame whose poses are written and reported.
     pose_frame: PoseFrame,
@@ -260,6 +282,16 @@ struct TrackedFrame {
     /// Present where it has a pose.
     posed: Option<Posed>,
     events: Vec<KeyframeEvent>,
+    /// Present where the frames are drawn for a video.
+    shown: Option<Box<ShownFrame>>,
+}
+
+/// What an overlay video shows of a frame.
+struct ShownFrame {
+    image: Frame,
+    camera: FrameEstimate,
+    written: FrameEstimate,
+    tracks: Vec<TrackView>,
 }
 
 impl TrackingStage<'_> {
@@ -279,12 +311,21 @@ impl TrackingStage<'_> {
         let seen = self.pose_frame.frame(&estimate);
         self.folder.record(&seen)?;
         self.observer.frame(&seen);
+        let shown = self.shows.then(|| {
+            Box::new(ShownFrame {
+                image: frame.clone(),
+                camera: estimate.clone(),
+                written: seen.into_owned(),
+                tracks: self.odometry.tracks().to_vec(),
+            })
+        });
         let pose = estimate.ground_pose();
         let segment = estimate.segment;
         self.frames.push(estimate, self.odometry.reference());
         number_as_source(&mut events, |index| self.frames.number_in_source(index));
         let is_keyframe = is_made(&events, frame.number);
-        Ok(Some(TrackedFrame { posed: pose.map(|pose| Posed { frame, pose, segment, is_keyframe }), events }))
+        let posed = pose.map(|pose| Posed { frame, pose, segment, is_keyframe });
+        Ok(Some(TrackedFrame { posed, events, shown }))
     }
 }
 
@@ -308,13 +349,18 @@ pub fn is_made(events: &[KeyframeEvent], frame: u64) -> bool {
 struct MappingStage {
     views: MosaicFrames,
     mapping: Mapping,
+    video: Option<OverlayVideo>,
     unmapped: Option<Error>,
     times: Timings,
 }
 
 impl MappingStage {
     fn next(&mut self, followed: TrackedFrame) -> Result<()> {
-        let TrackedFrame { posed, events } = followed;
+        let TrackedFrame { posed, events, shown } = followed;
+        if let (Some(video), Some(shown)) = (&mut self.video, shown) {
+            let ShownFrame { image, camera, written, tracks } = &*shown;
+            video.add(&OverlayFrame { image, camera, written, tracks });
+        }
         if self.unmapped.is_none() {
             self.unmapped = self.mapping.take(events, posed.as_ref().map(|posed| &posed.frame)).err();
         }

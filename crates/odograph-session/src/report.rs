@@ -6,8 +6,11 @@ use odograph::drawing::DrawnLandmark;
 use odograph::error::Result;
 use odograph::filter::fusion::SensorReport;
 use odograph::geometry::{GroundPoint, Placement};
+use odograph::image::RgbImage;
 use odograph::mosaic::MosaicPicture;
-use odograph::trajectory::FrameSummary;
+use odograph::odometry::TrackView;
+use odograph::trajectory::{FrameEstimate, FrameSummary};
+use odograph_video::Frame;
 
 /// Renders `map.png` and `report.html`.
 ///
@@ -22,6 +25,34 @@ pub trait RunReporter: Send + Sync {
 
     /// The report as one HTML file.
     fn page(&self, contents: &ReportInput<'_>) -> String;
+
+    /// What draws the frames of an overlay video of this camera; `None` without such.
+    fn frame_painter(&self, camera: &Camera) -> Option<Box<dyn FramePainter>> {
+        let _ = camera;
+        None
+    }
+}
+
+/// Draws the frames of an overlay video, in their order.
+pub trait FramePainter: Send {
+    /// Width and height of every picture, pixels.
+    fn size(&self) -> (usize, usize);
+
+    /// The picture of a frame.
+    fn paint(&mut self, frame: &OverlayFrame<'_>) -> RgbImage;
+}
+
+/// A frame of a run as it was tracked, before loops and other sensors.
+#[derive(Debug, Clone, Copy)]
+pub struct OverlayFrame<'a> {
+    /// The image.
+    pub image: &'a Frame,
+    /// The estimate of the camera, in the odometry frame.
+    pub camera: &'a FrameEstimate,
+    /// The same of the frame whose poses the run writes: the camera's or the robot's.
+    pub written: &'a FrameEstimate,
+    /// The tracked corners.
+    pub tracks: &'a [TrackView],
 }
 
 /// Contents of the report of a run.

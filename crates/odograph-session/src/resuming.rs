@@ -41,7 +41,7 @@ impl RunBuilder {
                  odograph view shows what it has",
             ));
         }
-        let BegunRun { map, session, source, robot, key, bag, plan } = BegunRun::read(folder)?;
+        let BegunRun { map, session, source, robot, key, bag, video, plan } = BegunRun::read(folder)?;
         let mut run = Self::over(plan.source.clone()).folder(folder).overwriting(true);
         let mut half = None;
         if let Some(map) = map {
@@ -53,6 +53,7 @@ impl RunBuilder {
         run.output.resumed = Some(ResumedSession { source, key, half });
         run.output.robot = robot;
         run.output.bag = bag;
+        run.output.video = video;
         run.resumed = Some(Arc::new(plan));
         Ok(run)
     }

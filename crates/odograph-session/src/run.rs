@@ -8,6 +8,7 @@ use crate::found::{FoundLens, FoundMount};
 use crate::observer::Observer;
 use crate::outcome::RunOutcome;
 use crate::output::RunOutput;
+use crate::overlay_video::OverlayVideo;
 use crate::passes::{assume, calibration_of, examine_beginning};
 use crate::pipeline::{self, Tracked};
 use crate::plan::RunPlan;
@@ -32,6 +33,7 @@ impl RunBuilder {
     /// that may not be overwritten, or if another program writes there.
     pub fn open(&self, observer: &dyn Observer) -> Result<Run> {
         self.output.check_bag()?;
+        self.output.video.as_deref().map_or(Ok(()), |video| OverlayVideo::check(video, self.output.force))?;
         let (path, temporary) = self.output.place()?;
         let same =
             |a: &Path, b: &Path| fs::canonicalize(a).is_ok_and(|a| fs::canonicalize(b).is_ok_and(|b| a == b));
@@ -41,6 +43,13 @@ impl RunBuilder {
                 true => format!("{shown} is the folder of the recording; its results need another one (-o)"),
                 false => format!("{shown} is the recording itself; its results need a folder (-o)"),
             }));
+        }
+        let outputs = [&self.output.bag, &self.output.video].into_iter().flatten();
+        if let Some(output) = outputs.into_iter().find(|output| same(Path::new(&self.source.path), output)) {
+            return Err(Error::usage(format!(
+                "{} is the recording itself; give what is written another name",
+                output.display()
+            )));
         }
         // What a killed run has left is not touched before its source can be read.
         let resumed = match &self.resumed {
@@ -134,7 +143,7 @@ impl Run {
         // Unreadable inputs are reported before tracking.
         reference::read(&plan)?;
         let description = source.info().description.clone();
-        let tracked = track(&mut plan, source, &mut folder, &output, observer)?;
+        let tracked = track(&mut plan, source, &mut folder, &output, reporter.as_deref(), observer)?;
         let ending = Ending {
             description: &description,
             sensors: &sensors,
@@ -155,6 +164,7 @@ fn track(
     source: Source,
     folder: &mut OutputFolder,
     output: &RunOutput,
+    reporter: Option<&dyn RunReporter>,
     observer: &dyn Observer,
 ) -> Result<Tracked> {
     folder.begin(plan, output)?;
@@ -174,7 +184,7 @@ fn track(
                 plan.source.open()?
             }
         };
-        pipeline::track(plan, source, folder, output, camera.monitor(), observer)
+        pipeline::track(plan, source, folder, output, reporter, camera.monitor(), observer)
     })?;
     let found = calibration.found();
     let (mount, lens) = (FoundMount::of(&given_rig, found), FoundLens::of(&given_camera, found));

@@ -13,6 +13,8 @@
 //! with raw or compressed images. Everything else is decoded by an installed
 //! `ffmpeg`, in bounded memory; without one, [`open`] fails with a message that names the codec.
 //!
+//! [`AviWriter`] writes Motion JPEG, the one video that needs no encoder of its own.
+//!
 //! All input is untrusted: sizes are bounded before memory is allocated, and a panic inside a
 //! third-party decoder becomes an [`Error`](odograph::error::Error).
 //!
@@ -49,7 +51,9 @@ mod video;
 mod bag;
 mod source;
 mod inspection;
+mod avi_writer;
 
+pub use avi_writer::{AviFormat, AviWriter, jpeg_picture};
 pub use bag::{
     LiveMessage, LiveTopic, LiveTransforms, RecordedMount, is_recording_folder, is_robot_recording,
     recorded_camera, recorded_fixes, recorded_mount, recorded_sensor,

@@ -13,7 +13,7 @@ use odograph_session::{
     SourcePlan,
 };
 use serde::Serialize;
-use std::path::PathBuf;
+use std::path::{Path, PathBuf};
 
 /// Find where a picture or a recording was taken in a map.
 ///
@@ -33,6 +33,9 @@ pub struct LocalizeArguments {
     #[arg(help_heading = "Map", long, value_name = "FILE")]
     pub map: PathBuf,
     /// Extend the map by what the recording shows. Without this it is only read.
+    ///
+    /// A map is extended where two sightings of different ground agree. One picture has only one
+    /// place: it is looked up, and the map stays as it is.
     #[arg(help_heading = "Map", long)]
     pub extend: bool,
     /// Only read the map; this is the default.
@@ -92,11 +95,12 @@ pub fn localize(arguments: LocalizeArguments) -> Result<Outcome> {
         max_frames: arguments.max_frames,
         ..SourcePlan::new(&arguments.source)
     };
+    let extends = arguments.extend && !is_one_picture(&source)?;
     let run = RunBuilder::localizing(source, &arguments.map)
         .motion(arguments.motion.into())
         .overwriting(arguments.force)
         .reporter(HtmlReporter);
-    let run = if arguments.extend { run.map(MapUse::Continue(arguments.map.clone())) } else { run };
+    let run = if extends { run.map(MapUse::Continue(arguments.map.clone())) } else { run };
     // The camera is that of the map; a profile adds the mount.
     let setup = CameraSetup { rig: arguments.rig.clone(), ..CameraSetup::default() };
     let setup = setup.or_of_profile(arguments.chosen.profile.as_deref())?;
@@ -110,11 +114,40 @@ pub fn localize(arguments: LocalizeArguments) -> Result<Outcome> {
     let report = run.follow(&observer)?;
     observer.log_times(&report.statistics);
     print_result(&arguments, &report)?;
+    if arguments.extend && !arguments.quiet {
+        tell_extension(&arguments, extends, &report);
+    }
     Ok(match (report.place, Outcome::from(report.end)) {
         (_, Outcome::Interrupted) => Outcome::Interrupted,
         (Some(_), outcome) => outcome,
         (None, _) => Outcome::TrackingFailed,
     })
+}
+
+/// Whether a source has a single picture. A map is extended where two sightings of different ground
+/// agree, of which one picture can have only one.
+fn is_one_picture(source: &SourcePlan) -> Result<bool> {
+    if source.max_frames == Some(1) {
+        return Ok(true);
+    }
+    let path = Path::new(&source.path);
+    Ok((path.is_file() || path.is_dir()) && source.open()?.info().frame_count == Some(1))
+}
+
+/// Says why a map that was to be extended was not.
+fn tell_extension(arguments: &LocalizeArguments, extends: bool, report: &RunOutcome) {
+    let map = console::name(&arguments.map);
+    if !extends {
+        console::warn(&format!(
+            "{map} was not extended: that needs two sightings of different ground that agree, and one picture has \
+             only one; extend the map with a recording that drives on"
+        ));
+    } else if report.place.is_none() && report.end != RunEnd::Interrupted {
+        console::note(
+            "a map is extended where two sightings of different ground agree; without --extend one certain sighting \
+             is enough",
+        );
+    }
 }
 
 /// What was found, as JSON.

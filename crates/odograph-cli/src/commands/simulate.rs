@@ -1,6 +1,5 @@
 //! `odograph simulate`: renders a recording with exact ground truth.
 
-mod avi;
 mod board;
 mod drive;
 mod output;

@@ -21,6 +21,7 @@ use crate::report::RunReporter;
 use crate::resemblance::Resemblance;
 use crate::ros_bag::RosBagWriter;
 use crate::statistics::interruption;
+use crate::stillness::stillness_warning;
 use crate::{files, pictures, reference, tilt};
 use improvement::{Improved, carrier_frames};
 use odograph::error::{Error, Result};
@@ -127,6 +128,7 @@ impl Finishing<'_> {
         let mut improved =
             Improved::new(&mut self.tracked, plan, ending.sensors, ending.gnss, self.folder.path())?;
         self.write_paths(&mut improved)?;
+        self.report_video();
         improved.observe(&mut self.tracked, &pose_frames, ending.observer)?;
         let frames = improved.summaries(&mut self.tracked, &pose_frames)?;
         let place = self.place_in_map(&mut improved)?;
@@ -147,7 +149,8 @@ impl Finishing<'_> {
         self.failure.get_or_insert(error);
     }
 
-    /// Warns where the estimated mount, lens or readout time differs from the plan.
+    /// Warns where the estimated mount, lens or readout time differs from the plan, and where
+    /// nothing moves.
     fn report_calibration(&mut self) -> Result<()> {
         let warning = match &self.tracked.mount {
             Some(found) if self.tracked.live.is_some() => Some(found.live_sentence()),
@@ -165,6 +168,11 @@ impl Finishing<'_> {
         self.warn(reads);
         let combed = self.tracked.interlaced.then(|| INTERLACED.to_owned());
         self.warn(combed);
+        // A camera may well stand where it asks for its place.
+        if !self.ending.output.localizes() {
+            let stands = stillness_warning(&mut self.tracked.frames, &self.plan.camera)?;
+            self.warn(stands);
+        }
         Ok(())
     }
 
@@ -205,6 +213,18 @@ impl Finishing<'_> {
             self.fail("there is no bag", error);
         }
         Ok(())
+    }
+
+    /// Reports the overlay video, which was written while tracking.
+    fn report_video(&mut self) {
+        match self.tracked.video.take() {
+            Some(Ok(warning)) => {
+                self.folder.is_written(self.ending.output.video.clone().unwrap_or_default());
+                self.warn(warning);
+            }
+            Some(Err(error)) => self.fail("there is no overlay video", error),
+            None => {}
+        }
     }
 
     /// The bag of ROS 2: frames as odometry had them, and where they finally are.
@@ -358,7 +378,7 @@ impl Finishing<'_> {
         let map = self.tracked.mapping.written().map(Path::to_owned);
         let closed = self.tracked.mapping.close();
         let mapper = self.tracked.mapping.mapper();
-        let looked_for = self.ending.output.map.is_read_only() && place.is_none();
+        let looked_for = self.ending.output.map.path().is_some() && place.is_none();
         let statistics = statistics_of(
             &self.tracked,
             &frames,

@@ -131,6 +131,7 @@ pub fn follow(
         live: Some(live),
         failure: outcome.err().or(failure).or(not_kept),
         unmapped: following.unmapped,
+        video: None,
         mount: FoundMount::of(&plan.rig, found),
         lens: FoundLens::of(&plan.camera, found),
     };

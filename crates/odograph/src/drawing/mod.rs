@@ -5,6 +5,7 @@
 //! drawing is made for a light background; every part also has a class, so that a page around it
 //! can recolour it.
 
+pub mod canvas;
 mod markers;
 mod path;
 pub mod scale;

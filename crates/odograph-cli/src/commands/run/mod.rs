@@ -114,6 +114,12 @@ pub struct RunArguments {
     /// /tf_static and /diagnostics, for `ros2 bag play` and others.
     #[arg(help_heading = "Results", long, value_name = "FILE")]
     pub bag_out: Option<PathBuf>,
+    /// Write a video of the drive: corners, status, speed, path so far (.avi).
+    ///
+    /// Motion JPEG in AVI. Every frame as it was tracked, before loop closures and other sensors,
+    /// with the reason where it was lost. Results do not depend on it.
+    #[arg(help_heading = "Results", long, value_name = "FILE")]
+    pub video_out: Option<PathBuf>,
     #[command(flatten)]
     pub site: SiteLinkArguments,
     #[command(flatten)]
@@ -152,6 +158,7 @@ Examples:
   odograph run drive.mp4 --camera camera.yaml --height 90cm --gyro gyro.csv --wheel wheel.csv
   odograph run drive.mcap --topic /camera/image_raw --height 90cm --gyro-topic /imu -o drive/
   odograph run drive.mcap --height 90cm --bag-out poses.mcap -o drive/
+  odograph run drive.mp4 --camera camera.yaml --height 1.20 --video-out drive.avi -o drive/
   odograph run drive.mp4 --profile cart --markers apriltag:36h11:80mm --control hall.csv -o drive/
   odograph run drive/run.toml -o again/
   odograph run --resume drive/
@@ -189,6 +196,7 @@ impl RunArguments {
             ("--retries", self.retries.is_some()),
             ("--map", self.output.map.is_some()),
             ("--bag-out", self.bag_out.is_some()),
+            ("--video-out", self.video_out.is_some()),
             ("--force", self.output.force),
         ];
         let given = self.settings().into_iter().chain(given).find(|(_, given)| *given);
@@ -216,6 +224,7 @@ impl RunArguments {
         let run = run.folder(folder).overwriting(self.output.force).reporter(HtmlReporter);
         let run = self.site.robot.iter().fold(run, RunBuilder::robot);
         let run = self.bag_out.iter().fold(run, RunBuilder::bag);
+        let run = self.video_out.iter().fold(run, RunBuilder::video);
         let run = match &self.output.map {
             Some(map) => run.map(MapUse::Continue(map.clone())),
             None => run,
@@ -328,11 +337,15 @@ pub fn run(arguments: RunArguments) -> Result<Outcome> {
             console::note(&format!("the results go to {} (-o chooses)", folder.display()));
         }
     };
-    if arguments.bag_out.as_deref() == Some(folder.as_path()) {
-        return Err(Error::usage(format!(
-            "{} cannot be the bag and the folder of the results; give --bag-out the name of a file",
-            folder.display()
-        )));
+    for (option, file, what) in
+        [("--bag-out", &arguments.bag_out, "bag"), ("--video-out", &arguments.video_out, "video")]
+    {
+        if file.as_deref() == Some(folder.as_path()) {
+            return Err(Error::usage(format!(
+                "{} cannot be the {what} and the folder of the results; give {option} the name of a file",
+                folder.display()
+            )));
+        }
     }
     if let Some(recordings) = recordings {
         print_folder();

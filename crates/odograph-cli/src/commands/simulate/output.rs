@@ -1,6 +1,6 @@
 //! The folder that a simulation is written to.
 
-use super::{FormatName, SimulateArguments, avi, y4m};
+use super::{FormatName, SimulateArguments, y4m};
 use crate::files::{self, MadeFolders};
 use crate::interrupt;
 use indicatif::{ProgressBar, ProgressStyle};
@@ -8,6 +8,7 @@ use jpeg_encoder::{ColorType, Encoder};
 use odograph::camera::Camera;
 use odograph::error::{Error, Result};
 use odograph::image::{GrayImage, RgbImage};
+use odograph_video::{AviFormat, AviWriter};
 use std::collections::BTreeMap;
 use std::fmt::Write as _;
 use std::fs;
@@ -197,15 +198,22 @@ impl SimulationOutput {
     }
 
     fn write_avi(&self, recording: &impl Recording) -> Result<()> {
-        let format = avi::StreamFormat {
+        let format = AviFormat {
             size: (recording.camera().width(), recording.camera().height()),
             fps: fraction(recording.fps())?,
             frames: recording.times_s().len(),
             bits: if recording.colored() { 24 } else { 8 },
         };
         self.write_stream(recording, |file, failed| {
-            let mut writer = avi::Writer::new(BufWriter::new(file), format).map_err(failed)?;
-            self.render(recording, jpeg, |_, bytes| writer.add(&bytes))?;
+            let mut writer = AviWriter::new(BufWriter::new(file), format).map_err(failed)?;
+            self.render(recording, jpeg, |_, bytes| {
+                if writer.is_full_for(&bytes) {
+                    return Err(Error::output(
+                        "an AVI file cannot hold so many pictures; record shorter or choose --format png",
+                    ));
+                }
+                writer.add(&bytes).map_err(failed)
+            })?;
             let file = writer.finish(format).map_err(failed)?;
             file.into_inner().map_err(|error| failed(error.into_error()))
         })

@@ -21,7 +21,7 @@ enum Named {
 }
 
 /// Calls with the output as `@`.
-const CALLS: [(Named, &str); 27] = [
+const CALLS: [(Named, &str); 28] = [
     (Named::Folder, "run drive.y4m --camera camera.yaml --height 1 -o @"),
     (Named::Folder, "live drive.y4m --camera camera.yaml --height 1 -o @"),
     (Named::Folder, "localize drive.y4m --map map.gpkg -o @"),
@@ -48,6 +48,7 @@ const CALLS: [(Named, &str); 27] = [
     (Named::File("gpkg"), "map optimize map.gpkg -o @"),
     (Named::File("gpkg"), "map repair map.gpkg -o @"),
     (Named::Record("mcap"), "run drive.y4m --camera camera.yaml --height 1 -o new --bag-out @"),
+    (Named::Record("avi"), "run drive.y4m --camera camera.yaml --height 1 -o new --video-out @"),
     (Named::Record("mcap"), "live drive.y4m --camera camera.yaml --height 1 -o new --mcap @"),
 ];
 

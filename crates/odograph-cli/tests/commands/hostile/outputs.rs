@@ -66,6 +66,25 @@ fn warnings_of_a_run_that_fails_are_kept() {
     assert!(kept.iter().any(|kept| kept.contains("there is no bag") && kept.contains(error)), "{kept:?}");
 }
 
+#[test]
+#[cfg(unix)]
+fn a_full_disk_costs_the_overlay_video_and_nothing_else() {
+    if !Path::new("/dev/full").exists() {
+        println!("skipped: dev-full: there is no /dev/full");
+        return;
+    }
+    let place = HostileFolder::new();
+    fs::write(place.path("drive.y4m"), y4m(20)).unwrap();
+    std::os::unix::fs::symlink("/dev/full", place.path("drive.avi.part")).unwrap();
+    let done = place.run("drive.y4m --camera camera.yaml --height 1 -o out --video-out drive.avi");
+    let told = String::from_utf8(done.stderr).unwrap();
+    assert_eq!(done.status.code(), Some(3), "{told}");
+    assert!(told.contains("drive.avi cannot be written: No space left on device"), "{told}");
+    assert_eq!(told.trim_end().lines().count(), 1, "{told}");
+    assert!(!place.path("drive.avi").exists() && !place.path("drive.avi.part").is_symlink());
+    assert_whole(&place.path("out"));
+}
+
 /// `/dev/full` takes the place of each file in turn.
 #[test]
 #[cfg(unix)]

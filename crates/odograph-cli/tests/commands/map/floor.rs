@@ -162,7 +162,21 @@ fn an_image_is_localised_without_changing_the_map() {
         };
         assert_eq!(json.is_ok_and(never_seen), more == ["--json"]);
     }
+    // One picture cannot extend a map. It is found as without `--extend`, or as little.
+    let extending = localize(&[picture, "--extend"]);
+    let warned = String::from_utf8(extending.stderr).unwrap();
+    assert_eq!(extending.status.code(), Some(0), "{warned}");
+    assert_eq!(String::from_utf8(extending.stdout).unwrap(), message);
+    assert!(warned.contains("out/map.gpkg was not extended: that needs two sightings"), "{warned}");
+    let lost = localize(&[others[3].to_str().unwrap(), "--extend"]);
+    let refused = String::from_utf8(lost.stderr).unwrap();
+    assert!(lost.status.code() == Some(4) && refused.contains("resembles nothing"), "{refused}");
     assert!(fs::read(folder.path().join("out/map.gpkg")).unwrap() == map, "the map was changed");
+    // A recording of foreign ground is not taken for one without texture.
+    fs::copy(folder.path().join("out/map.gpkg"), folder.path().join("copy.gpkg")).unwrap();
+    let (status, refused) =
+        odograph("localize other/frames --fps 20 --max-frames 4 --map copy.gpkg --extend", folder.path());
+    assert!(status == 4 && refused.contains("resembles nothing in copy.gpkg"), "{refused}");
     // With `--extend` the map grows.
     let grown = localize(&["sim/frames", "--extend", "-o", "grown"]);
     assert_eq!(grown.status.code(), Some(0), "{}", String::from_utf8_lossy(&grown.stderr));

@@ -54,6 +54,7 @@ pub fn recordings(arguments: &RunArguments) -> Result<Option<Vec<Recording>>> {
         ("--reference", arguments.reference.is_some()),
         ("--progress json", arguments.progress == Progress::Json),
         ("--bag-out", arguments.bag_out.is_some()),
+        ("--video-out", arguments.video_out.is_some()),
         ("--site", arguments.site.site.is_some()),
     ];
     if let Some((option, _)) = one_alone.iter().find(|(_, given)| *given) {

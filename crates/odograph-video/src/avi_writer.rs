@@ -1,7 +1,9 @@
-//! An AVI file of JPEG pictures (Microsoft, "AVI RIFF File Reference": one video stream, `00dc`
-//! chunks, `idx1` index).
+//! Writes an AVI file of JPEG pictures (Microsoft, "AVI RIFF File Reference": one video stream,
+//! `00dc` chunks, `idx1` index).
 
+use jpeg_encoder::{ColorType, Encoder, SamplingFactor};
 use odograph::error::{Error, Result};
+use odograph::image::RgbImage;
 use std::io::{self, Seek, SeekFrom, Write};
 
 /// RIFF counts bytes in 32 bits; not all readers accept more than half of that.
@@ -9,8 +11,9 @@ const MAX_BYTES: u64 = 0x7FFF_0000;
 /// Flag of an index entry: this picture can be shown without others.
 const KEYFRAME: u32 = 0x10;
 
-/// Writes pictures one after the other; [`Writer::finish`] completes the file.
-pub struct Writer<W> {
+/// Writes a Motion JPEG video, picture after picture; [`AviWriter::finish`] completes the file.
+#[derive(Debug)]
+pub struct AviWriter<W> {
     file: W,
     index: Vec<u8>,
     /// Bytes in the list of pictures after its name.
@@ -18,9 +21,9 @@ pub struct Writer<W> {
     largest: u32,
 }
 
-/// Size and timing of the stream.
-#[derive(Clone, Copy)]
-pub struct StreamFormat {
+/// Size and timing of a Motion JPEG video.
+#[derive(Debug, Clone, Copy)]
+pub struct AviFormat {
     /// Width and height, pixels.
     pub size: (usize, usize),
     /// Frames per second, as a fraction.
@@ -31,22 +34,30 @@ pub struct StreamFormat {
     pub bits: u16,
 }
 
-impl<W: Write + Seek> Writer<W> {
-    /// Begins a file.
-    pub fn new(mut file: W, format: StreamFormat) -> io::Result<Self> {
+impl<W: Write + Seek> AviWriter<W> {
+    /// Begins a file. The frame rate and number of `format` may be provisional.
+    ///
+    /// # Errors
+    /// If it cannot be written.
+    pub fn new(mut file: W, format: AviFormat) -> io::Result<Self> {
         file.write_all(&header(format, 0, 0))?;
         Ok(Self { file, index: vec![], movie_bytes: 0, largest: 0 })
     }
 
-    /// Adds a picture. Fails if the file would become larger than readers accept.
-    pub fn add(&mut self, jpeg: &[u8]) -> Result<()> {
-        let size = jpeg.len() as u32;
-        let padded = u64::from(size) + u64::from(size % 2) + 8;
-        if self.movie_bytes + padded + self.index.len() as u64 > MAX_BYTES {
-            return Err(Error::output(
-                "an AVI file cannot hold so many pictures; record shorter or choose --format png",
-            ));
+    /// Whether a picture would make the file larger than readers accept.
+    pub fn is_full_for(&self, jpeg: &[u8]) -> bool {
+        self.movie_bytes + padded_bytes(jpeg) + self.index.len() as u64 > MAX_BYTES
+    }
+
+    /// Adds a picture; [`AviWriter::is_full_for`] it must be false.
+    ///
+    /// # Errors
+    /// If it cannot be written.
+    pub fn add(&mut self, jpeg: &[u8]) -> io::Result<()> {
+        if self.is_full_for(jpeg) {
+            return Err(io::ErrorKind::FileTooLarge.into());
         }
+        let size = jpeg.len() as u32;
         // Offsets count from the name of the list, four bytes before its first chunk.
         let offset = self.movie_bytes as u32 + 4;
         for number in [KEYFRAME, offset, size] {
@@ -55,17 +66,19 @@ impl<W: Write + Seek> Writer<W> {
             }
             self.index.extend_from_slice(&number.to_le_bytes());
         }
-        self.movie_bytes += padded;
+        self.movie_bytes += padded_bytes(jpeg);
         self.largest = self.largest.max(size);
         let padding: &[u8] = if size % 2 == 1 { &[0] } else { &[] };
-        let written = [b"00dc".as_slice(), &size.to_le_bytes(), jpeg, padding]
+        [b"00dc".as_slice(), &size.to_le_bytes(), jpeg, padding]
             .into_iter()
-            .try_for_each(|part| self.file.write_all(part));
-        written.map_err(|error| Error::not_written("the AVI file", error))
+            .try_for_each(|part| self.file.write_all(part))
     }
 
-    /// Writes the index, and the sizes that are known only at the end.
-    pub fn finish(mut self, format: StreamFormat) -> io::Result<W> {
+    /// Writes the index, and the header with the final `format` and the sizes.
+    ///
+    /// # Errors
+    /// If they cannot be written.
+    pub fn finish(mut self, format: AviFormat) -> io::Result<W> {
         self.file.write_all(b"idx1")?;
         self.file.write_all(&(self.index.len() as u32).to_le_bytes())?;
         self.file.write_all(&self.index)?;
@@ -81,11 +94,33 @@ impl<W: Write + Seek> Writer<W> {
     }
 }
 
+/// A picture as the bytes of a JPEG file, for [`AviWriter::add`]; `quality` is 1 to 100. Chroma has
+/// half the size, as players of Motion JPEG expect.
+///
+/// # Errors
+/// If the picture exceeds the size limits of JPEG, 65535 pixels on a side.
+pub fn jpeg_picture(picture: &RgbImage, quality: u8) -> Result<Vec<u8>> {
+    let (width, height) = (picture.width(), picture.height());
+    let cannot = |why: String| Error::output(format!("a {width}x{height} JPEG cannot be encoded: {why}"));
+    let side = |pixels: usize| u16::try_from(pixels).map_err(|error| cannot(error.to_string()));
+    let mut jpeg = Vec::with_capacity(width * height / 3);
+    let mut encoder = Encoder::new(&mut jpeg, quality);
+    encoder.set_sampling_factor(SamplingFactor::F_2_2);
+    let encoded = encoder.encode(picture.samples(), side(width)?, side(height)?, ColorType::Rgb);
+    encoded.map_err(|error| cannot(error.to_string()))?;
+    Ok(jpeg)
+}
+
+/// Bytes of a picture with its name, its size and its padding.
+fn padded_bytes(jpeg: &[u8]) -> u64 {
+    jpeg.len() as u64 + jpeg.len() as u64 % 2 + 8
+}
+
 /// Bytes before the first picture.
 const HEADER_BYTES: u64 = 224;
 
 /// Everything before the first picture; `after_header` bytes follow it.
-fn header(format: StreamFormat, after_header: u32, largest: u32) -> Vec<u8> {
+fn header(format: AviFormat, after_header: u32, largest: u32) -> Vec<u8> {
     let (width, height) = (format.size.0 as u32, format.size.1 as u32);
     let (rate, scale) = (format.fps.0 as u32, format.fps.1 as u32);
     let frames = format.frames as u32;
@@ -128,13 +163,15 @@ fn list(name: &[u8; 4], content: &[u8]) -> Vec<u8> {
 
 #[cfg(test)]
 mod tests {
+    #![allow(clippy::unwrap_used)] // a test fails by panicking
+
     use super::*;
     use std::io::Cursor;
 
     #[test]
     fn every_index_entry_points_to_its_picture() {
-        let format = StreamFormat { size: (64, 48), fps: (30, 1), frames: 3, bits: 24 };
-        let mut writer = Writer::new(Cursor::new(vec![]), format).unwrap();
+        let format = AviFormat { size: (64, 48), fps: (30, 1), frames: 3, bits: 24 };
+        let mut writer = AviWriter::new(Cursor::new(vec![]), format).unwrap();
         let pictures = [vec![1u8; 10], vec![2u8; 11], vec![3u8; 12]];
         pictures.iter().for_each(|picture| writer.add(picture).unwrap());
         let bytes = writer.finish(format).unwrap().into_inner();
