@@ -15,7 +15,8 @@ impl Mapper {
     /// Replaces the odometry frame by the fused one: `fused` are the frames `raw` after sensor
     /// fusion. Keyframes move with the frames measured against them; odometry and gap edges are
     /// recomputed; loop edges keep what was measured, in the new scale. The references are
-    /// transformed too. To be called once, before [`Mapper::finish`].
+    /// transformed too. Keyframes of earlier sessions stay where they are. To be called once,
+    /// before [`Mapper::finish`].
     pub fn apply_fusion(
         &mut self,
         raw: &[FrameEstimate],
@@ -38,15 +39,16 @@ impl Mapper {
         }
         let before: BTreeMap<KeyframeId, GroundPose> =
             self.map.keyframes.iter().map(|keyframe| (keyframe.id, keyframe.odometry_pose)).collect();
-        for keyframe in &mut self.map.keyframes {
-            if let Some(moved) = moves.get(&keyframe.id) {
-                keyframe.odometry_pose = moved.apply_to_pose(&keyframe.odometry_pose);
-                keyframe.pose = moved.apply_to_pose(&keyframe.pose);
-            }
+        for (id, moved) in &moves {
+            let Some(keyframe) = self.of_run_mut(*id) else { continue };
+            let map_from_odometry = keyframe.map_from_odometry();
+            keyframe.odometry_pose = moved.apply_to_pose(&keyframe.odometry_pose);
+            keyframe.pose = map_from_odometry.apply_to_pose(&keyframe.odometry_pose);
         }
         let now: BTreeMap<KeyframeId, GroundPose> =
             self.map.keyframes.iter().map(|keyframe| (keyframe.id, keyframe.odometry_pose)).collect();
-        for edge in &mut self.map.edges {
+        let first = self.first_keyframe();
+        for edge in self.map.edges.iter_mut().filter(|edge| edge.from >= first) {
             let (Some(from), Some(to), Some(was)) =
                 (now.get(&edge.from), now.get(&edge.to), before.get(&edge.from))
             else {

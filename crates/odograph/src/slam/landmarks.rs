@@ -88,7 +88,7 @@ impl Mapper {
         images: &mut dyn KeyframeStore,
     ) -> Result<()> {
         for sighting in sightings {
-            let keyframe = KeyframeId(self.first_keyframe().0 + sighting.keyframe.0);
+            let keyframe = self.number_in_map(sighting.keyframe);
             if self.keyframe(keyframe).is_some() {
                 self.add_sighting(MarkerSighting { keyframe, ..*sighting }, images)?;
             }

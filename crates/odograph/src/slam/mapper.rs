@@ -309,14 +309,24 @@ impl Mapper {
         Some(self.of_run(keyframe)?.map_from_odometry().apply_to_pose(odometry))
     }
 
+    /// The number in the map of a keyframe by that in the session.
+    pub(super) fn number_in_map(&self, id: KeyframeId) -> KeyframeId {
+        KeyframeId(self.first + id.0)
+    }
+
     /// A keyframe by its number in the session.
     pub(super) fn of_run(&self, id: KeyframeId) -> Option<&MapKeyframe> {
-        self.keyframe(KeyframeId(self.first + id.0))
+        self.keyframe(self.number_in_map(id))
+    }
+
+    pub(super) fn of_run_mut(&mut self, id: KeyframeId) -> Option<&mut MapKeyframe> {
+        let at = self.index.get(&self.number_in_map(id))?;
+        self.map.keyframes.get_mut(*at)
     }
 
     /// An edge between keyframes of the session, with their numbers in the map.
     pub(super) fn renumbered(&self, edge: MapEdge) -> MapEdge {
-        let [from, to] = [edge.from, edge.to].map(|id| KeyframeId(self.first + id.0));
+        let [from, to] = [edge.from, edge.to].map(|id| self.number_in_map(id));
         MapEdge { from, to, ..edge }
     }
 
@@ -361,7 +371,7 @@ impl Mapper {
         edges: &[MapEdge],
         signature: Signature,
     ) -> KeyframeId {
-        let id = KeyframeId(self.first + new.id.0);
+        let id = self.number_in_map(new.id);
         let known = edges.first().map(|edge| if edge.from == id { edge.to } else { edge.from });
         let pose = match known.and_then(|known| self.keyframe(known)) {
             Some(known) if self.is_corrected() => known.map_from_odometry().apply_to_pose(&new.pose),

@@ -5,7 +5,7 @@ use crate::keyframe::{EdgeKind, KeyframeId, MapEdge};
 use crate::motion::Random;
 use crate::odometry::{KeyframeEvent, NewKeyframe};
 use crate::simulation::{Ground, Renderer, Texture};
-use crate::trajectory::TrackStatus;
+use crate::trajectory::{PlaneMeasurement, TrackStatus};
 use nalgebra::{Matrix4, Matrix6, Vector4};
 
 const HEIGHT_M: f64 = 0.75;
@@ -100,7 +100,7 @@ impl SlamWorld {
         }
         mapper.finish();
         let straight = map_frames(mapper, &frames, &references);
-        Driven { frames, straight }
+        Driven { frames, references, straight }
     }
 
     fn mapper(&self) -> Mapper {
@@ -116,6 +116,7 @@ fn config() -> OdometryConfig {
 
 struct Driven {
     frames: Vec<FrameEstimate>,
+    references: Vec<Option<FrameReference>>,
     straight: Vec<FrameEstimate>,
 }
 
@@ -247,6 +248,44 @@ fn a_second_drive_is_recognised_in_the_first_map() {
     let off_mm = 1e3 * (place.pose.x_m - truth.x_m).hypot(place.pose.y_m - truth.y_m);
     assert!(off_mm < 0.5, "{off_mm} mm");
     assert!(images.load(KeyframeId(0)).is_ok());
+}
+
+/// A wheel that turns 2 % further than the odometry says.
+#[test]
+fn fused_sensors_move_the_session_that_is_driven_and_no_earlier_one() {
+    let world = SlamWorld::new("carpet");
+    let mut images = MemoryImages::default();
+    let mut first = world.mapper();
+    world.drive(&mut first, &mut images, &along((0.0, 0.0), 0.0, 40).collect::<Vec<_>>());
+    let map = first.into_map();
+    let next = KeyframeId(map.keyframes.len() as u64);
+    let mut second = Mapper::continuing(map.clone(), &config(), LoopClosureConfig::default(), 1, next);
+    let poses: Vec<_> = along((20.0, 5.0), 1.0, 30).collect();
+    let mut driven = world.drive(&mut second, &mut images, &poses);
+    let before = second.map().clone();
+    let longer = |frame: &FrameEstimate| {
+        let mut frame = frame.clone();
+        if let Some(estimate) = &mut frame.estimate {
+            let pose = estimate.pose;
+            let (x_m, y_m, height_m) = (1.02 * pose.x_m, 1.02 * pose.y_m, 1.02 * pose.height_m);
+            estimate.pose = GroundPose { x_m, y_m, height_m, ..pose };
+            estimate.measured = PlaneMeasurement::new(&estimate.pose, &estimate.covariance);
+        }
+        frame
+    };
+    let fused: Vec<FrameEstimate> = driven.frames.iter().map(longer).collect();
+    second.apply_fusion(&driven.frames, &fused, &mut driven.references);
+    let (old, new) = second.map().keyframes.split_at(map.keyframes.len());
+    for (now, was) in old.iter().zip(&map.keyframes) {
+        assert_eq!((now.pose, now.odometry_pose), (was.pose, was.odometry_pose), "{:?}", now.id);
+    }
+    let edges = second.map().edges.iter().zip(&map.edges);
+    edges.for_each(|(now, was)| assert_eq!(now.motion, was.motion));
+    for (now, was) in new.iter().zip(&before.keyframes[map.keyframes.len()..]) {
+        let off_m = (now.pose.x_m - 1.02 * was.pose.x_m).hypot(now.pose.y_m - 1.02 * was.pose.y_m);
+        // A keyframe moves as the frame that is measured against it first, which is filtered.
+        assert!(off_m < 1e-6, "{off_m} m");
+    }
 }
 
 #[test]
