@@ -169,14 +169,25 @@ impl Mapper {
 
     fn accept(&mut self, closure: LoopClosure, images: &mut dyn KeyframeStore) -> Result<()> {
         let edge = closure.edge;
+        let mut is_moved = false;
         if let (Some(old), Some(measured_m)) = (self.graph.pose(edge.to), self.measured_m(edge.from, edge.to))
         {
             // A part of the map that is not connected yet is moved to where it was seen.
             let seen = compose(&old, &inverse(&edge.motion, measured_m), old.height_m / measured_m[1]);
-            self.graph.move_component(edge.from, &seen, edge.to);
+            is_moved = self.graph.move_component(edge.from, &seen, edge.to);
         }
         self.closures.push(closure);
-        self.add(edge, images)
+        self.add(edge, images)?;
+        self.settle_if_moved(is_moved);
+        Ok(())
+    }
+
+    /// Settles the map where a part of it was moved: the next keyframe is placed by the poses in
+    /// the map.
+    pub(super) fn settle_if_moved(&mut self, is_moved: bool) {
+        if is_moved {
+            self.relax();
+        }
     }
 
     /// Adds an edge between two keyframes, unless they have enough already.

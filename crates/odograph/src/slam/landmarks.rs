@@ -166,10 +166,7 @@ impl Mapper {
         }
         self.landmarks.edges += 1;
         self.add(edge, images)?;
-        if is_moved {
-            // The next keyframe is placed by the poses in the map.
-            self.relax();
-        }
+        self.settle_if_moved(is_moved);
         Ok(())
     }
 
