@@ -29,6 +29,8 @@ impl Elevation {
 pub struct MeasuredElevation {
     /// The posterior.
     pub elevation: Elevation,
+    /// The prior's mean, metres.
+    pub prior_m: f64,
     /// Elevation from the residual alone, without the prior, metres.
     pub alone_m: f64,
     /// The inverse of its variance, 1/metres².
@@ -99,6 +101,7 @@ impl Parallax {
                 > SIGNIFICANT_SQUARED * (1.0 + prior.variance_m2 * information);
         MeasuredElevation {
             elevation,
+            prior_m: prior.mean_m,
             alone_m: prior.mean_m + difference_m,
             information,
             parallax_squared: self.squared,

@@ -11,6 +11,7 @@ pub mod dense;
 mod elevation;
 mod global_image;
 mod ground_patch;
+mod ground_shape;
 mod mean;
 mod model_error;
 mod normal_equations;
@@ -30,6 +31,7 @@ pub use correlated_noise::ResidualCorrelation;
 pub use elevation::{Elevation, MAX_KERB_HEIGHT, MeasuredElevation, Roughness, SIGNIFICANT_SQUARED};
 pub use global_image::global_image;
 pub use ground_patch::{GroundFromRay, GroundPatch, PatchWarp, ViewingPose};
+pub use ground_shape::{GroundShape, ShapeEstimate, UNKNOWN_SLOPE};
 pub use mean::mean_displacement;
 pub use random::Random;
 pub use residual::Axes;
@@ -157,6 +159,9 @@ pub struct Observations<'a> {
     /// Prior of a rolling shutter, and the pose rates with which the pixels were corrected to a
     /// global shutter; `None` for a global shutter.
     pub shutter: Option<(&'a ShutterPrior, PoseRates)>,
+    /// What the elevations of all points are off by together, only beside a shutter whose skew is
+    /// fitted; `None` where their errors are independent.
+    pub shape: Option<&'a GroundShape>,
 }
 
 /// A ground point found in an image, with the covariance of its pixel.
@@ -238,6 +243,8 @@ pub struct MotionEstimate {
     /// Elevation of each observation given the pose; empty where observations are not single
     /// points.
     pub elevations: Buffer<MeasuredElevation>,
+    /// Estimate of [`Observations::shape`].
+    pub shape: Option<ShapeEstimate>,
     /// Whether only ground that is not flat explains the tracks.
     pub uneven: Option<Unevenness>,
     /// Estimate of the shutter's skew, where the shutter may roll.

@@ -1,10 +1,11 @@
 //! Normal equations of a frame's fit: its pose and the nuisance parameters.
 //!
 //! The unknowns, in this order: the six numbers of the pose; the errors of height, roll and pitch
-//! of the keyframe; and the six numbers of the *skew*, the change of the pose from the first row of
-//! the image to the last (readout time × rates), as a difference from the assumed one. Keyframe
-//! errors and skew are *whitened*: in units of their prior standard deviation, so that a known
-//! quantity has a column of zeros and needs no special case.
+//! of the keyframe; the six numbers of the *skew*, the change of the pose from the first row of the
+//! image to the last (readout time × rates), as a difference from the assumed one; and the six
+//! coefficients of the shape of uneven ground. All but the pose are *whitened*: in units of their
+//! prior standard deviation, so that a known quantity has a column of zeros and needs no special
+//! case.
 
 use super::MotionModel;
 
@@ -14,6 +15,10 @@ pub const POSE: usize = 6;
 pub const WITH_KEYFRAME: usize = 9;
 /// Unknowns with those of the shutter.
 pub const WITH_SKEW: usize = 15;
+/// Numbers of the shape that points of uneven ground share.
+pub const SHAPE: usize = 6;
+/// Unknowns with those of the shape.
+pub const WITH_SHAPE: usize = WITH_SKEW + SHAPE;
 
 /// Which of (x, y, heading, height, roll, pitch) are estimated: the first `count` of them.
 #[derive(Debug, Clone, Copy)]
@@ -36,9 +41,9 @@ impl Unknowns {
 }
 
 /// Derivatives of one coordinate of a residual by the unknowns.
-pub type Row = [f64; WITH_SKEW];
+pub type Row = [f64; WITH_SHAPE];
 /// A matrix over the unknowns.
-pub type Square = [[f64; WITH_SKEW]; WITH_SKEW];
+pub type Square = [[f64; WITH_SHAPE]; WITH_SHAPE];
 
 /// `A x = b` with A symmetric: information and slope of a least-squares problem. Only the first
 /// `count` unknowns exist, and of A the lower triangle.
@@ -52,7 +57,7 @@ pub struct NormalEquations {
 impl NormalEquations {
     /// No information on `count` unknowns.
     pub fn new(count: usize) -> Self {
-        Self { count, matrix: [[0.0; WITH_SKEW]; WITH_SKEW], slope: [0.0; WITH_SKEW] }
+        Self { count, matrix: [[0.0; WITH_SHAPE]; WITH_SHAPE], slope: [0.0; WITH_SHAPE] }
     }
 
     /// Number of unknowns.
@@ -76,7 +81,8 @@ impl NormalEquations {
         match self.count {
             POSE => self.add_of::<POSE>(row, error, weight),
             WITH_KEYFRAME => self.add_of::<WITH_KEYFRAME>(row, error, weight),
-            _ => self.add_of::<WITH_SKEW>(row, error, weight),
+            WITH_SKEW => self.add_of::<WITH_SKEW>(row, error, weight),
+            _ => self.add_of::<WITH_SHAPE>(row, error, weight),
         }
     }
 
@@ -103,7 +109,7 @@ impl NormalEquations {
 
     /// Fixes unknown `i` at its present value.
     pub fn hold(&mut self, i: usize) {
-        self.matrix[i] = [0.0; WITH_SKEW];
+        self.matrix[i] = [0.0; WITH_SHAPE];
         self.matrix.iter_mut().for_each(|row| row[i] = 0.0);
         self.matrix[i][i] = 1.0;
         self.slope[i] = 0.0;
@@ -152,14 +158,14 @@ impl Factor {
 
     /// The inverse of the information matrix: the covariance.
     pub fn inverse(&self) -> Square {
-        let mut inverse = [[0.0; WITH_SKEW]; WITH_SKEW];
+        let mut inverse = [[0.0; WITH_SHAPE]; WITH_SHAPE];
         inverse.iter_mut().enumerate().take(self.count).for_each(|(i, column)| *column = self.column(i));
         inverse
     }
 
     /// One column of the inverse.
     pub fn column(&self, i: usize) -> Row {
-        let mut unit = [0.0; WITH_SKEW];
+        let mut unit = [0.0; WITH_SHAPE];
         unit[i] = 1.0;
         self.solve(&unit)
     }
@@ -175,7 +181,7 @@ mod tests {
         let mut equations = NormalEquations::new(POSE);
         for x in 0..5 {
             let x = f64::from(x);
-            let mut row = [0.0; WITH_SKEW];
+            let mut row = [0.0; WITH_SHAPE];
             (row[0], row[1]) = (1.0, x);
             equations.add(&row, -(2.0 + 3.0 * x), 0.5);
         }

@@ -1,15 +1,17 @@
 //! Nuisance parameters of a frame's fit: height and tilt of the keyframe, skew of a rolling
-//! shutter, elevations of the points. Derivation: `docs/math/frame-pose.md`.
+//! shutter, shape of the ground, elevations of the points. Derivation: `docs/math/frame-pose.md`.
 
 use super::elevation::Parallax;
-use super::normal_equations::{NormalEquations, POSE, Row, WITH_KEYFRAME, WITH_SKEW};
+use super::ground_shape::{ShapeEstimate, raised};
+use super::normal_equations::{NormalEquations, POSE, Row, SHAPE, WITH_KEYFRAME, WITH_SHAPE, WITH_SKEW};
 use super::residual::{Axes, Residual, ground_by_pose};
 use super::{KeyframeError, Observation, Observations, PoseRates, ShutterEstimate, ShutterPrior};
 use crate::camera::Camera;
-use nalgebra::{Matrix3, Matrix6, Vector3};
+use nalgebra::{Matrix3, Matrix6, SMatrix, Vector3, Vector6};
 
 /// Nuisance parameters of the fit: height and tilt of the keyframe that defines the ground points,
-/// and the skew of a rolling shutter. All are whitened: in units of their prior standard deviation.
+/// the skew of a rolling shutter, and the shape of uneven ground. All are whitened: in units of
+/// their prior standard deviation.
 #[derive(Debug)]
 pub struct Nuisance<'a> {
     pub observations: Observations<'a>,
@@ -19,10 +21,12 @@ pub struct Nuisance<'a> {
     /// Root of the covariance of the keyframe's height, roll and pitch: zero where they are known.
     keyframe_root: Matrix3<f64>,
     skew_sigma: PoseRates,
+    /// Root of the covariance of the shape that the points share.
+    shape_root: Matrix6<f64>,
     /// Number of unknowns of the fit, with those of the pose.
     pub count: usize,
     /// Estimates, whitened.
-    values: [f64; WITH_SKEW - POSE],
+    values: [f64; WITH_SHAPE - POSE],
 }
 
 /// A keyframe error that displaces no point by more than this is not estimated, pixels. Not
@@ -39,11 +43,14 @@ impl<'a> Nuisance<'a> {
         let skew_sigma = shutter
             .map_or(PoseRates::zeros(), |(prior, assumed)| prior.skew_sigma(&assumed).map(|s| s.max(1e-12)));
         let count = match shutter {
+            Some((prior, _)) if prior.applies && observations.shape.is_some() => WITH_SHAPE,
             Some((prior, _)) if prior.applies => WITH_SKEW,
             _ if is_known => POSE,
             _ => WITH_KEYFRAME,
         };
-        let values = [0.0; WITH_SKEW - POSE];
+        let values = [0.0; WITH_SHAPE - POSE];
+        let shape_covariance = observations.shape.map_or(Matrix6::zeros(), |shape| *shape.covariance());
+        let shape_root = semidefinite_root(&shape_covariance);
         let elevations = observations.seen.iter().map(|seen| seen.elevation.mean_m);
         Self {
             observations,
@@ -51,6 +58,7 @@ impl<'a> Nuisance<'a> {
             level_m: elevations.sum::<f64>() / observations.seen.len().max(1) as f64,
             keyframe_root,
             skew_sigma,
+            shape_root,
             count,
             values,
         }
@@ -63,7 +71,7 @@ impl<'a> Nuisance<'a> {
             return;
         }
         let [x_by_pose, y_by_pose, z_by_pose] = self.point_by_keyframe(observation);
-        let (keyframe, skew) = self.values.split_at(WITH_KEYFRAME - POSE);
+        let (keyframe, skew) = self.values[..WITH_SKEW - POSE].split_at(WITH_KEYFRAME - POSE);
         for k in 0..2 {
             let row = &residual.by_pose[k];
             let by_rig = Vector3::from_fn(|i, _| {
@@ -103,6 +111,7 @@ impl<'a> Nuisance<'a> {
         let depth_m = keyframe_pose.height_m - elevation.mean_m;
         let (x, y) = ((keyframe_pose.x_m - ground.x_m) / depth_m, (keyframe_pose.y_m - ground.y_m) / depth_m);
         let by_elevation = residual.by_pose.map(|row| -(row[0] * x + row[1] * y + row[3]));
+        residual.by_elevation = by_elevation;
         let parallax = Parallax::new(residual.error, by_elevation);
         residual.parallax = parallax;
         let variance_m2 = elevation.variance_m2;
@@ -118,17 +127,47 @@ impl<'a> Nuisance<'a> {
         first.iter_mut().zip(second).for_each(|(first, second)| whiten(first, second));
         let [first, second] = &mut residual.by_keyframe;
         first.iter_mut().zip(second).for_each(|(first, second)| whiten(first, second));
+        let [first, second] = &mut residual.by_elevation;
+        whiten(first, second);
+    }
+
+    /// An observation with the shape of the ground as it is estimated; `None` where none is.
+    pub fn shaped(&self, observation: &Observation) -> Option<Observation> {
+        let by_m = self.observations.shape?.at(observation.ground, &self.shape());
+        let Observation { ground, elevation, .. } = *observation;
+        let (ground, elevation) = raised(self.observations.keyframe_pose, (ground, elevation), by_m);
+        Some(Observation { ground, elevation, ..*observation })
+    }
+
+    /// Coefficients of the shape.
+    fn shape(&self) -> Vector6<f64> {
+        self.shape_root * Vector6::from_row_slice(&self.values[WITH_SKEW - POSE..])
+    }
+
+    /// What is known of the shape after the fit.
+    pub fn shape_estimate(&self, equations: &NormalEquations, scale_px: f64) -> Option<ShapeEstimate> {
+        let shape = self.observations.shape?;
+        let factor = equations.factor()?;
+        let columns: [Row; SHAPE] = std::array::from_fn(|i| factor.column(WITH_SKEW + i));
+        let whitened = Matrix6::from_fn(|i, k| columns[i][WITH_SKEW + k] * scale_px * scale_px);
+        let covariance = self.shape_root * whitened * self.shape_root.transpose();
+        Some(ShapeEstimate { coefficients: self.shape(), shape: shape.with_covariance(covariance) })
     }
 
     /// Derivatives of coordinate `k` of a residual by the first `count` unknowns.
     pub fn row(&self, observation: &Observation, residual: &Residual, k: usize, count: usize) -> Row {
-        let mut row = [0.0; WITH_SKEW];
+        let mut row = [0.0; WITH_SHAPE];
         row[..POSE].copy_from_slice(&residual.by_pose[k]);
         row[POSE..WITH_KEYFRAME].copy_from_slice(&residual.by_keyframe[k]);
-        if count == WITH_SKEW {
+        if count >= WITH_SKEW {
             for i in 0..POSE {
                 row[WITH_KEYFRAME + i] = observation.row_fraction * self.skew_sigma[i] * row[i];
             }
+        }
+        if let (WITH_SHAPE, Some(shape)) = (count, self.observations.shape) {
+            let by_shape =
+                self.shape_root.tr_mul(&shape.basis(observation.ground)) * residual.by_elevation[k];
+            row[WITH_SKEW..].copy_from_slice(by_shape.as_slice());
         }
         row
     }
@@ -220,7 +259,7 @@ impl<'a> Nuisance<'a> {
                 inverse[at].map(|entry| entry * noise_px2)
             } else {
                 without.solve(&std::array::from_fn(|k| {
-                    if k < WITH_KEYFRAME { -equations.entry(k, at) } else { 0.0 }
+                    if (WITH_KEYFRAME..WITH_SKEW).contains(&k) { 0.0 } else { -equations.entry(k, at) }
                 }))
             };
             (0..6).for_each(|k| pose_by_expected_skew[(k, i)] = column[k] / sigma[i]);
@@ -245,7 +284,7 @@ impl<'a> Nuisance<'a> {
         count: usize,
         share: impl Fn(&Observation) -> f64,
     ) -> [Row; POSE] {
-        let mut slopes = [[0.0; WITH_SKEW]; POSE];
+        let mut slopes = [[0.0; WITH_SHAPE]; POSE];
         let Observations { seen, .. } = self.observations;
         for ((observation, residual), &weight) in seen.iter().zip(residuals).zip(weights) {
             if weight <= 0.0 {
@@ -270,9 +309,9 @@ impl<'a> Nuisance<'a> {
 }
 
 /// Cholesky factor of a positive semi-definite matrix; zeros on its diagonal are allowed.
-fn semidefinite_root(covariance: &Matrix3<f64>) -> Matrix3<f64> {
-    let mut root = Matrix3::zeros();
-    for i in 0..3 {
+fn semidefinite_root<const N: usize>(covariance: &SMatrix<f64, N, N>) -> SMatrix<f64, N, N> {
+    let mut root = SMatrix::zeros();
+    for i in 0..N {
         for k in 0..=i {
             let left = covariance[(i, k)] - (0..k).map(|m| root[(i, m)] * root[(k, m)]).sum::<f64>();
             root[(i, k)] = match i == k {

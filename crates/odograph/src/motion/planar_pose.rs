@@ -4,7 +4,7 @@
 use super::correlated_noise::{ResidualCorrelation, shared_covariance, shared_px};
 use super::elevation::MeasuredElevation;
 use super::model_error::model_covariance;
-use super::normal_equations::{NormalEquations, POSE, Row, Unknowns, WITH_KEYFRAME, WITH_SKEW};
+use super::normal_equations::{NormalEquations, POSE, Row, Unknowns, WITH_KEYFRAME, WITH_SHAPE, WITH_SKEW};
 use super::nuisance::Nuisance;
 use super::pose_covariance::{RobustFit, by_prior_tilt, pose_changes, well_constrained_scale};
 use super::residual::{Axes, Residual, residual};
@@ -47,7 +47,7 @@ pub fn gauss_newton_step(
     for observation in observations {
         let Some(residual) = residual(camera, observation, pose, &axes) else { continue };
         for (error, by_pose) in residual.error.iter().zip(&residual.by_pose) {
-            let mut row = [0.0; WITH_SKEW];
+            let mut row = [0.0; WITH_SHAPE];
             row[..POSE].copy_from_slice(by_pose);
             equations.add(&row, *error, 1.0);
         }
@@ -97,6 +97,8 @@ pub fn refine(
      -> f64 {
         let axes = Axes::new(pose);
         for ((observation, kept), error) in observations.iter().zip(residuals).zip(&mut *errors) {
+            let shaped = nuisance.shaped(observation);
+            let observation = shaped.as_ref().unwrap_or(observation);
             *error = match residual(camera, observation, pose, &axes) {
                 Some(mut residual) => {
                     nuisance.complete(observation, &mut residual);
@@ -185,7 +187,8 @@ pub fn refine(
     let slopes = nuisance.slopes_by_keyframe(&residuals, &weights, nuisance.count, |_| 1.0);
     let shutter = match shutter {
         Some((prior, assumed)) => {
-            let mut with_skew = nuisance.equations(&residuals, &weights, WITH_SKEW);
+            let count = nuisance.count.max(WITH_SKEW);
+            let mut with_skew = nuisance.equations(&residuals, &weights, count);
             rig_prior.add_to(&mut with_skew, &pose);
             nuisance.add_priors(&mut with_skew, scale_px);
             (unknowns.count()..POSE).for_each(|i| with_skew.hold(i));
@@ -202,7 +205,9 @@ pub fn refine(
     // a small whitened residual.
     let near = |(residual, &weight): (&Residual, &f64)| weight > 0.0 && residual.distance_px < cutoff_px;
     let inliers: Buffer<bool> = residuals.iter().zip(&weights).map(near).collect();
-    let elevations = elevations(observations, &residuals, pose.height_m);
+    let shaped = observations.iter().map(|seen| nuisance.shaped(seen).unwrap_or(*seen));
+    let elevations = elevations(shaped, &residuals, pose.height_m);
+    let shape = nuisance.shape_estimate(&equations, scale_px);
     let own = RobustFit {
         residuals: &residuals,
         weights: &weights,
@@ -251,6 +256,7 @@ pub fn refine(
         residual_correlation: ResidualCorrelation::of(camera, observations, &free_errors, &weights),
         rig_evidence,
         elevations,
+        shape,
         uneven: None,
         shutter,
     })
@@ -269,7 +275,7 @@ const MAX_KEYFRAME_ERROR: f64 = 0.15;
 
 /// Elevations of the observed points given the pose.
 fn elevations(
-    observations: &[Observation],
+    observations: impl Iterator<Item = Observation>,
     residuals: &[Residual],
     height_m: f64,
 ) -> Buffer<MeasuredElevation> {
@@ -279,10 +285,10 @@ fn elevations(
     let middle = across_px2.len() / 2;
     let median = across_px2.select_nth_unstable_by(middle, f64::total_cmp).1;
     let noise_px2 = (*median / CHI_SQUARED_MEDIAN).max(MIN_SCALE_PX * MIN_SCALE_PX);
-    let measured = |(observation, residual): (&Observation, &Residual)| {
+    let measured = |(observation, residual): (Observation, &Residual)| {
         residual.parallax.measured(observation.elevation, noise_px2, super::MAX_KERB_HEIGHT * height_m)
     };
-    observations.iter().zip(residuals).map(measured).collect()
+    observations.zip(residuals).map(measured).collect()
 }
 
 /// Median of the χ² distribution with one degree of freedom.

@@ -1,7 +1,7 @@
 //! Covariance of a robust fit, and how its pose depends on the keyframe. Derivation:
 //! `docs/math/frame-pose.md`.
 
-use super::normal_equations::{Factor, NormalEquations, POSE, Row, Unknowns, WITH_KEYFRAME, WITH_SKEW};
+use super::normal_equations::{Factor, NormalEquations, POSE, Row, Unknowns, WITH_KEYFRAME, WITH_SHAPE};
 use super::nuisance::Nuisance;
 use super::residual::Residual;
 use super::rig_evidence::WeightedRigPrior;
@@ -66,7 +66,7 @@ impl RobustFit<'_> {
         });
         let inverse = information.factor()?.inverse();
         let solved = unknowns.count();
-        let mut half = [[0.0; WITH_SKEW]; POSE];
+        let mut half = [[0.0; WITH_SHAPE]; POSE];
         for (i, half) in half.iter_mut().enumerate().take(solved) {
             for (k, half) in half.iter_mut().enumerate().take(n) {
                 *half = (0..n).map(|m| inverse[i][m] * scatter.entry(m, k)).sum();

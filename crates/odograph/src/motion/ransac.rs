@@ -3,7 +3,7 @@
 
 use super::normal_equations::Unknowns;
 use super::planar_pose::gauss_newton_step;
-use super::{Elevation, MotionConfig, MotionModel, Observation, Observations, Random, RigPrior};
+use super::{Elevation, GroundShape, MotionConfig, MotionModel, Observation, Observations, Random, RigPrior};
 use crate::buffer::{Buffer, stored};
 use crate::camera::Camera;
 use crate::geometry::{GroundPoint, GroundPose, Ray, length};
@@ -29,11 +29,11 @@ pub fn consensus(
     config: &MotionConfig,
     random: &mut Random,
 ) -> Option<(GroundPose, Buffer<bool>)> {
-    let Observations { seen: observations, keyframe_pose, .. } = observations;
+    let Observations { seen: observations, keyframe_pose, shape, .. } = observations;
     // Height and tilt are not refined yet, so the threshold is wider.
     let limit_px2 =
         if config.model == MotionModel::Auto { 2.0 * config.inlier_px } else { config.inlier_px }.powi(2);
-    let predicted = inliers_of(camera, observations, keyframe_pose, prediction, limit_px2);
+    let predicted = inliers_of(camera, observations, keyframe_pose, shape, prediction, limit_px2);
     let count = predicted.iter().filter(|&&agrees| agrees).count();
     if count >= config.minimum_inliers && count as f64 >= MIN_PREDICTED_INLIERS * observations.len() as f64 {
         return Some((*prediction, predicted));
@@ -59,6 +59,7 @@ pub fn consensus(
                         squared_distance(
                             observation,
                             keyframe_pose,
+                            shape,
                             &point,
                             &camera_from_world,
                             (fx, fy),
@@ -101,6 +102,7 @@ fn inliers_of(
     camera: &Camera,
     observations: &[Observation],
     keyframe_pose: &GroundPose,
+    shape: Option<&GroundShape>,
     pose: &GroundPose,
     limit_px2: f64,
 ) -> Buffer<bool> {
@@ -114,8 +116,15 @@ fn inliers_of(
         seen.is_some_and(|seen| {
             let error_px = [seen.x - observation.pixel.x, seen.y - observation.pixel.y];
             let focal_px = camera.focal_px();
-            squared_distance(observation, keyframe_pose, &point, &camera_from_world, focal_px, error_px)
-                < limit_px2
+            squared_distance(
+                observation,
+                keyframe_pose,
+                shape,
+                &point,
+                &camera_from_world,
+                focal_px,
+                error_px,
+            ) < limit_px2
         })
     };
     observations.iter().map(agrees).collect()
@@ -131,12 +140,14 @@ fn from_camera(observation: &Observation, pose: &GroundPose) -> Vector3<f64> {
 fn squared_distance(
     observation: &Observation,
     keyframe_pose: &GroundPose,
+    shape: Option<&GroundShape>,
     point: &Vector3<f64>,
     camera_from_world: &Matrix3<f64>,
     (fx, fy): (f64, f64),
     [x, y]: [f64; 2],
 ) -> f64 {
     let Elevation { mean_m, variance_m2 } = observation.elevation;
+    let variance_m2 = variance_m2 + shape.map_or(0.0, |shape| shape.variance_m2(observation.ground));
     if variance_m2 <= 0.0 {
         return x * x + y * y;
     }

@@ -18,6 +18,8 @@ pub struct Residual {
     pub by_pose: [[f64; 6]; 2],
     /// Derivative by height, roll and pitch of the keyframe, in units of their prior.
     pub by_keyframe: [[f64; 3]; 2],
+    /// Derivative by the elevation of the point, pixels per metre.
+    pub by_elevation: [f64; 2],
     /// Components along and across the parallax of the point.
     pub parallax: Parallax,
 }
@@ -31,6 +33,7 @@ impl Residual {
         distance_px: f64::INFINITY,
         by_pose: [[0.0; 6]; 2],
         by_keyframe: [[0.0; 3]; 2],
+        by_elevation: [0.0; 2],
         parallax: Parallax::NONE,
     };
 

@@ -60,6 +60,7 @@ fn measured(
         keyframe_pose: &GroundPose::level(1.0),
         keyframe_covariance: &Matrix3::zeros(),
         shutter: None,
+        shape: None,
     };
     estimate(&camera(), observations, prediction, prior, config, &mut Random::new(seed))
 }
@@ -253,6 +254,7 @@ fn a_tilt_error_of_the_keyframe_is_estimated_with_the_pose() {
                 keyframe_pose: &taken_for,
                 keyframe_covariance,
                 shutter: None,
+                shape: None,
             };
             estimate(&camera(), observations, &to, &prior, &config, &mut Random::new(seed)).unwrap()
         };
@@ -298,6 +300,7 @@ fn elevations_in_metres_of_the_keyframe_do_not_measure_its_height() {
         keyframe_pose: &keyframe,
         keyframe_covariance,
         shutter: None,
+        shape: None,
     };
     let prior =
         RigPrior { mean: [1.0, 0.0, 0.0], sigma: [0.3; 3], mount_share: [1.0; 3], shared_fraction: 0.0 };
@@ -307,6 +310,58 @@ fn elevations_in_metres_of_the_keyframe_do_not_measure_its_height() {
     // The prior of the frame's height tells a thousandth.
     assert!(error.covariance[(0, 0)].sqrt() > 0.98 * sigma_m, "{}", error.covariance);
     assert!((found.pose.x_m - 0.25).abs() < 1e-4, "{:?}", found.pose);
+}
+
+/// Parallax of ground that slopes along the rows looks like a skew along the motion.
+#[test]
+fn sloping_ground_does_not_pass_for_a_skew() {
+    let (keyframe, to) = (GroundPose::level(1.0), GroundPose { x_m: 0.12, ..GroundPose::level(1.0) });
+    let flat = observations(&keyframe, 0.0, 0.0, 1);
+    let unknown = GroundShape::unknown(&keyframe, flat.iter().map(|seen| seen.ground));
+    let coefficients = nalgebra::Vector6::new(0.0, 0.06, -0.05, 0.03, 0.02, -0.04);
+    let uneven = |seen: &Observation| {
+        let elevation_m = unknown.at(seen.ground, &coefficients);
+        let nearer = 1.0 - elevation_m;
+        let ground = GroundPoint::new(nearer * seen.ground.x_m, nearer * seen.ground.y_m);
+        let pixel = ViewingPose::new(to).pixel(&camera(), ground, elevation_m)?;
+        let elevation = Elevation { mean_m: 0.0, variance_m2: 0.002 * 0.002 };
+        Some(Observation { elevation, pixel, row_fraction: pixel.y / 480.0 - 0.5, ..*seen })
+    };
+    let seen: Vec<Observation> = flat.iter().filter_map(uneven).collect();
+    // A skew of 0.2 mm in x and y.
+    let prior = ShutterPrior {
+        readout: Readout { mean_s: 0.02, variance_s2: 0.0 },
+        rate_by_pose_hz: 0.0,
+        rate_offset: PoseRates::zeros(),
+        rate_variance: PoseRates::new(1e-4, 1e-4, 0.0, 0.0, 0.0, 0.0),
+        acceleration_by_pose: PoseRates::zeros(),
+        acceleration_offset: PoseRates::zeros(),
+        applies: true,
+    };
+    let measure = |shape| {
+        let observations = Observations {
+            seen: &seen,
+            noise_px: NOISE_PX,
+            keyframe_pose: &keyframe,
+            keyframe_covariance: &Matrix3::zeros(),
+            shutter: Some((&prior, PoseRates::zeros())),
+            shape,
+        };
+        let config = MotionConfig { model: MotionModel::Rigid, ..Default::default() };
+        let rig = RigPriorEstimator::new(&to).prior(&to, &config);
+        estimate(&camera(), observations, &to, &rig, &config, &mut Random::new(1)).unwrap()
+    };
+    let (shaped, independent) = (measure(Some(&unknown)), measure(None));
+    let skew_mm = |found: &MotionEstimate| 1e3 * found.shutter.as_ref().unwrap().skew[0].abs();
+    let (with, without) = (skew_mm(&shaped), skew_mm(&independent));
+    assert!(with < 0.1 * without && with < 0.05, "{with} {without} mm");
+    let ShapeEstimate { coefficients: found, shape } = shaped.shape.unwrap();
+    assert!((found - coefficients).norm() < 0.005, "{found}");
+    assert!(shape.covariance().trace() < 0.1 * unknown.covariance().trace());
+    assert!((shaped.pose.x_m - to.x_m).abs() < 2e-4, "{:?}", shaped.pose);
+    let elevation_m = unknown.at(seen[0].ground, &coefficients);
+    let measured_m = shaped.elevations[0].elevation.mean_m;
+    assert!((measured_m - elevation_m).abs() < 0.002, "{measured_m} {elevation_m} m");
 }
 
 #[test]

@@ -9,7 +9,7 @@ use super::Odometry;
 use super::keyframe::Keyframe;
 use crate::camera::Camera;
 use crate::geometry::GroundPose;
-use crate::motion::{MotionEstimate, PoseRates, RollingShutter};
+use crate::motion::{MotionEstimate, PoseRates, RollingShutter, UNKNOWN_SLOPE};
 
 /// Rates within the first keyframe may be anything up to this: parts of the height, and radians,
 /// per second.
@@ -35,6 +35,7 @@ impl Odometry {
         next.shutter =
             RollingShutter { rates: seen.expected_rates, ..prior.shutter_at(&self.camera, &estimate.pose) };
         next.rate_variance = prior.rate_variance;
+        next.rates_on_slope = Some((next.shutter.rates, next.rate_variance));
         let Some(keyframe) = self.keyframe.as_ref().filter(|_| self.rows_determine_rates(readout_s)) else {
             return;
         };
@@ -65,16 +66,18 @@ impl Odometry {
         }
         let relative_variance = prior.readout.variance_s2 / readout_s.powi(2);
         let Some(keyframe) = &mut self.keyframe else { return };
+        let (dx_m, dy_m) = (estimate.pose.x_m - keyframe.pose.x_m, estimate.pose.y_m - keyframe.pose.y_m);
+        let of_slope = (UNKNOWN_SLOPE * dx_m.hypot(dy_m) / readout_s).powi(2);
         let mut rates = keyframe.shutter.rates;
         for i in 0..6 {
             let of_readout = relative_variance * (seen.expected_rates[i] - rates[i]).powi(2);
             let noise = seen.evidence_variance[i] / readout_s.powi(2) + prior.rate_variance[i] + of_readout;
-            let own = &mut keyframe.rate_variance[i];
-            if noise.is_finite() && *own + noise > 0.0 {
-                let gain = *own / (*own + noise);
-                rates[i] += gain * (seen.expected_rates[i] - seen.evidence[i] / readout_s);
-                *own *= 1.0 - gain;
+            let off = seen.expected_rates[i] - seen.evidence[i] / readout_s;
+            if let Some((on_slope, variance)) = &mut keyframe.rates_on_slope {
+                let off = off + rates[i] - on_slope[i];
+                kalman_update(&mut on_slope[i], &mut variance[i], off, noise + of_slope);
             }
+            kalman_update(&mut rates[i], &mut keyframe.rate_variance[i], off, noise);
         }
         let moved = RollingShutter { rates: rates - keyframe.shutter.rates, readout_s, ..keyframe.shutter };
         if largest_shift_px(&self.camera, &keyframe.pose, &moved) > NEGLIGIBLE_PX {
@@ -88,12 +91,31 @@ impl Odometry {
     /// much.
     fn expose_by_first_step(&mut self, rates: PoseRates) {
         let Some(keyframe) = &mut self.keyframe else { return };
+        keyframe.rates_on_slope = Some((rates, keyframe.rate_variance));
+        keyframe.expose(&self.camera, RollingShutter { rates, ..keyframe.shutter });
+    }
+
+    /// The rates of the present keyframe as they are if the ground slopes: it was taken to be flat.
+    pub(super) fn expose_on_slope(&mut self) {
+        let Some(keyframe) = &mut self.keyframe else { return };
+        let Some((rates, variance)) = keyframe.rates_on_slope else { return };
+        keyframe.rate_variance = variance;
         keyframe.expose(&self.camera, RollingShutter { rates, ..keyframe.shutter });
     }
 
     /// Whether the readout time is known well enough for rows to determine rates.
     fn rows_determine_rates(&self, readout_s: f64) -> bool {
         readout_s != 0.0 && self.learned.shutter().is_some_and(|state| state.is_known())
+    }
+}
+
+/// A scalar Kalman filter: `value` with its `variance` is off by `off`, which has the variance
+/// `noise`.
+fn kalman_update(value: &mut f64, variance: &mut f64, off: f64, noise: f64) {
+    if noise.is_finite() && *variance + noise > 0.0 {
+        let gain = *variance / (*variance + noise);
+        *value += gain * off;
+        *variance *= 1.0 - gain;
     }
 }
 

@@ -270,6 +270,12 @@ impl Learned {
         self.frame_shutter.as_ref().is_some_and(|prior| prior.applies)
     }
 
+    /// Whether the shape that points of uneven ground share is estimated: a slope that is not known
+    /// looks like a skew.
+    pub fn estimates_shape(&self) -> bool {
+        self.skew_is_fitted() && self.shutter.as_ref().is_some_and(ShutterState::is_known)
+    }
+
     /// Whether the present frame is taken to be skewed by a rolling shutter.
     pub fn shutter_rolls(&self) -> bool {
         self.frame_shutter.as_ref().is_some_and(|prior| prior.applies && prior.readout.mean_s != 0.0)

@@ -344,6 +344,10 @@ impl Odometry {
             return measured;
         }
         keyframe.forget_elevations(&self.camera);
+        let prior = self.learned.rig_prior.prior(&measured.prediction, &self.config.motion);
+        if self.learned.estimates_shape() && keyframe.shape(prior.holds_tilt()).is_some() {
+            self.expose_on_slope();
+        }
         let Ok(again) = self.measure_near(pyramid, time_s) else { return measured };
         if let Some(keyframe) = &mut self.keyframe {
             self.learned.saw_elevations(keyframe, &again.found, &again.estimate, &self.camera);

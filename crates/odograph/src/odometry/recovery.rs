@@ -282,6 +282,7 @@ mod tests {
             residual_correlation: Default::default(),
             rig_evidence: None,
             elevations: Buffer::new(),
+            shape: None,
             uneven: None,
             shutter: None,
         };

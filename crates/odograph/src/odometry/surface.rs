@@ -3,7 +3,7 @@
 //! N. Cressie, "Statistics for Spatial Data", 1993).
 
 use crate::geometry::GroundPoint;
-use crate::motion::Elevation;
+use crate::motion::{Elevation, GroundShape};
 use nalgebra::{SMatrix, SVector};
 
 /// Points of the ground with their elevations, and how these vary with the distance.
@@ -14,6 +14,8 @@ pub struct Surface {
     mean_m: f64,
     /// Points per square metre.
     density: f64,
+    /// What the elevations are off by together; `None` where their errors are independent.
+    pub shape: Option<GroundShape>,
 }
 
 /// Exponent of the variogram above which the ground undulates: gravel has 0.2, undulations that are
@@ -26,7 +28,11 @@ const NEIGHBOURS: usize = 8;
 impl Surface {
     /// Through these points, on ground whose elevations have this variance. `None` for fewer points
     /// than an elevation is interpolated from.
-    pub fn new(points: Vec<(GroundPoint, Elevation)>, variance_m2: f64) -> Option<Self> {
+    pub fn new(
+        points: Vec<(GroundPoint, Elevation)>,
+        variance_m2: f64,
+        shape: Option<GroundShape>,
+    ) -> Option<Self> {
         if points.len() < NEIGHBOURS {
             return None;
         }
@@ -40,7 +46,7 @@ impl Surface {
         };
         let area_m2 = bounds(|place| place.x_m) * bounds(|place| place.y_m);
         let density = points.len() as f64 / area_m2.max(f64::MIN_POSITIVE);
-        Some(Self { points, variogram, mean_m, density })
+        Some(Self { points, variogram, mean_m, density, shape })
     }
 
     /// Whether differences grow with the distance as on undulating ground; on gravel they do not,
@@ -188,7 +194,7 @@ mod tests {
             let mean_m = elevation(x_m, y_m);
             (GroundPoint::new(x_m, y_m), Elevation { mean_m, variance_m2: 1e-8 })
         };
-        Surface::new((0..256).map(point).collect(), 1e-4).unwrap()
+        Surface::new((0..256).map(point).collect(), 1e-4, None).unwrap()
     }
 
     #[test]
@@ -223,6 +229,6 @@ mod tests {
 
     #[test]
     fn fewer_points_than_neighbours_make_no_surface() {
-        assert!(Surface::new(vec![(GroundPoint::new(0.0, 0.0), Elevation::FLAT); 7], 1e-4).is_none());
+        assert!(Surface::new(vec![(GroundPoint::new(0.0, 0.0), Elevation::FLAT); 7], 1e-4, None).is_none());
     }
 }

@@ -224,6 +224,7 @@ impl DenseLevel<'_> {
             keyframe_pose: self.keyframe_pose,
             keyframe_covariance: &Matrix3::zeros(),
             shutter: None,
+            shape: None,
         };
         let estimate =
             planar_pose::refine(self.camera, observations, pose, &agreeing, pose, self.prior, &config)?;

@@ -25,6 +25,8 @@ pub struct KeyCorner {
     pub(super) is_on_kerb: bool,
     /// Information of the elevation that was taken over from a frame, 1/metres²; zero without.
     information_taken_over: f64,
+    /// By how much the shape of the ground has raised it, metres.
+    bent_m: f64,
     /// Whether the keyframe before did not have its ground in view.
     pub is_on_new_ground: bool,
     pub(super) strays: StrayCount,
@@ -50,6 +52,7 @@ impl KeyCorner {
             confirmations: 0,
             is_on_kerb: false,
             information_taken_over: 0.0,
+            bent_m: 0.0,
             is_on_new_ground: false,
             strays: StrayCount::default(),
         }
@@ -58,7 +61,7 @@ impl KeyCorner {
     /// Drops the measured elevations: they were measured under another calibration.
     pub(super) fn forget_elevations(&mut self) {
         (self.measured, self.seen_before, self.confirmations) = (None, None, 0);
-        self.information_taken_over = 0.0;
+        (self.information_taken_over, self.bent_m) = (0.0, 0.0);
     }
 
     /// Projects it onto the ground again: at an elevation of its own where frames measured it.
@@ -72,6 +75,23 @@ impl KeyCorner {
         if let Some((patch, elevation)) = projected {
             (self.patch, self.elevation) = (patch, elevation);
         }
+        if own.is_none() && self.bent_m != 0.0 {
+            self.put_at(self.patch.elevation_m + self.bent_m, ground);
+        }
+    }
+
+    /// Moves it to another elevation, as well known as the one before.
+    fn put_at(&mut self, mean_m: f64, ground: &GroundProjection<'_>) {
+        if let Some(patch) = ground.patch_at(self.template.centre(), mean_m) {
+            self.patch = patch;
+            self.elevation.iter_mut().for_each(|elevation| elevation.mean_m = mean_m);
+        }
+    }
+
+    /// Raises it with the shape of the ground.
+    pub(super) fn bend(&mut self, by_m: f64, ground: &GroundProjection<'_>) {
+        self.bent_m += by_m;
+        self.put_at(self.patch.elevation_m + by_m, ground);
     }
 
     fn has_own_elevation(&self) -> bool {
@@ -135,7 +155,7 @@ impl KeyCorner {
         sharing: f64,
         ground: &GroundProjection<'_>,
     ) {
-        let known_m = self.patch.elevation_m;
+        let known_m = seen.prior_m;
         // Parallax is linear in the inverse of the depth.
         let depth_m = ground.height_m() - known_m;
         let linear_m = seen.alone_m - known_m;
@@ -143,7 +163,7 @@ impl KeyCorner {
         if let Some(patch) = ground.patch_at(self.template.centre(), mean_m) {
             let variance_m2 = sharing / seen.information;
             (self.patch, self.elevation) = (patch, Some(Elevation { mean_m, variance_m2 }));
-            self.information_taken_over = seen.information;
+            (self.information_taken_over, self.bent_m) = (seen.information, 0.0);
         }
     }
 

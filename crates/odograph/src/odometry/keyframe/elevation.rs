@@ -8,7 +8,8 @@ use super::{Keyframe, MARGIN_PX};
 use crate::camera::Camera;
 use crate::geometry::{GroundPoint, GroundPose};
 use crate::motion::{
-    Elevation, GroundPatch, MAX_KERB_HEIGHT, MeasuredElevation, MotionEstimate, Roughness, ViewingPose,
+    Elevation, GroundPatch, GroundShape, MAX_KERB_HEIGHT, MeasuredElevation, MotionEstimate, Roughness,
+    ShapeEstimate, ViewingPose,
 };
 
 /// Ground within this part of the height is below the camera.
@@ -65,7 +66,18 @@ impl Keyframe {
     /// Takes a surface into use that earlier keyframes saw.
     pub fn set_surface(&mut self, surface: Option<Surface>) {
         self.undulates = surface.as_ref().is_some_and(Surface::is_smooth);
-        self.surface = surface;
+        (self.surface, self.shape) = (surface, None);
+    }
+
+    /// What the elevations of its corners are off by together; `None` where their errors are
+    /// independent. Ground of which no keyframe knows anything has a shape if one `may_begin`.
+    pub fn shape(&self, may_begin: bool) -> Option<GroundShape> {
+        let corners = self.corners.iter().map(|corner| corner.patch.ground);
+        match (self.shape, &self.surface) {
+            (Some(shape), _) => Some(shape),
+            (None, Some(surface)) => Some(surface.shape?.about(&self.pose, corners)),
+            (None, None) => may_begin.then(|| GroundShape::unknown(&self.pose, corners)),
+        }
     }
 
     /// Sets from where the keyframe before saw the ground.
@@ -93,6 +105,7 @@ impl Keyframe {
             corner.forget_elevations();
             corner.is_on_kerb = false;
         });
+        self.shape = None;
         self.project_again(camera);
     }
 
@@ -134,11 +147,19 @@ impl Keyframe {
                 let is_smooth = self.undulates || (self.new_ground_is_kerb && corner.is_on_kerb);
                 is_smooth && agrees && !seen.is_significant && corner.surpasses(seen)
             };
-        let count = measured().filter(|((f, s), a)| surpasses(&self.corners, f, s, **a)).count();
-        for ((found, seen), agrees) in measured() {
-            if surpasses(&self.corners, found, seen, *agrees) {
-                self.corners[found.corner].take_over(seen, count as f64, &ground);
+        let surpassing =
+            measured().filter(|((found, seen), agrees)| surpasses(&self.corners, found, seen, **agrees));
+        let taken: Vec<_> = surpassing.map(|((found, seen), _)| (found.corner, *seen)).collect();
+        // The shape contains what they share.
+        let sharing = if frame.shape.is_some() { 1.0 } else { taken.len() as f64 };
+        taken.iter().for_each(|(corner, seen)| self.corners[*corner].take_over(seen, sharing, &ground));
+        if let Some(ShapeEstimate { coefficients, shape }) = frame.shape {
+            let mut bends = vec![true; self.corners.len()];
+            taken.iter().for_each(|(corner, _)| bends[*corner] = false);
+            for (corner, _) in self.corners.iter_mut().zip(bends).filter(|(_, bends)| *bends) {
+                corner.bend(shape.at(corner.patch.ground, &coefficients), &ground);
             }
+            self.shape = Some(shape);
         }
         roughness
     }
@@ -159,6 +180,6 @@ impl Keyframe {
             let y_m = self.pose.y_m + nearer * (ground.y_m - self.pose.y_m);
             (GroundPoint::new(x_m, y_m), elevation)
         };
-        Surface::new(self.corners.iter().map(point).collect(), relief_m2)
+        Surface::new(self.corners.iter().map(point).collect(), relief_m2, self.shape)
     }
 }

@@ -21,8 +21,8 @@ use crate::image::{GrayImage, Pyramid};
 use crate::keyframe::KeyframeId;
 use crate::motion::dense::{DenseImage, DenseReference};
 use crate::motion::{
-    CoarseRegistration, GroundView, MAX_KERB_HEIGHT, MotionEstimate, MotionModel, PoseRates, RollingShutter,
-    ViewingPose,
+    CoarseRegistration, GroundShape, GroundView, MAX_KERB_HEIGHT, MotionEstimate, MotionModel, PoseRates,
+    RollingShutter, ViewingPose,
 };
 pub use corner::KeyCorner;
 use elevation::is_new_ground;
@@ -62,6 +62,8 @@ pub struct Keyframe {
     pub shutter: RollingShutter,
     /// Variances of the rates of the pose meanwhile.
     pub rate_variance: PoseRates,
+    /// The rates and their variances if the ground slopes, which looks like a skew.
+    pub rates_on_slope: Option<(PoseRates, PoseRates)>,
     /// How the pose changes with the readout time, metres and radians per second: what a readout
     /// time that is off has done to it since the start.
     pub by_readout: PoseRates,
@@ -77,6 +79,8 @@ pub struct Keyframe {
     undulates: bool,
     /// The ground that earlier keyframes saw, where it is not flat.
     pub surface: Option<Surface>,
+    /// What its frames found of the shape of the ground.
+    shape: Option<GroundShape>,
     pub corners: Vec<KeyCorner>,
     /// What of the image is known not to be ground.
     pub mask: Option<Arc<ImageMask>>,

@@ -45,6 +45,7 @@ pub(super) fn mean_motion(
         residual_correlation: Default::default(),
         rig_evidence: None,
         elevations: Buffer::new(),
+        shape: None,
         uneven: None,
         shutter: None,
     })

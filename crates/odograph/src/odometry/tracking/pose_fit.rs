@@ -13,8 +13,8 @@ use super::visibility::reason_of_loss;
 use crate::camera::Camera;
 use crate::geometry::GroundPose;
 use crate::motion::{
-    MAX_KERB_HEIGHT, MotionEstimate, MotionModel, Observations, Random, RigPrior, ShutterPrior, Unevenness,
-    estimate,
+    MAX_KERB_HEIGHT, MotionEstimate, MotionModel, Observations, PoseRates, Random, RigPrior, ShutterPrior,
+    Unevenness, estimate,
 };
 use crate::trajectory::LossReason;
 use nalgebra::{Matrix3, Vector3};
@@ -42,6 +42,12 @@ pub(super) fn fit_pose(
             let frame_shutter = learned
                 .frame_shutter
                 .map(|prior| ShutterPrior { applies: prior.applies || plane.is_tilted, ..prior });
+            let is_shaped = plane.relief_m2 > 0.0 && learned.estimates_shape();
+            let shape = is_shaped.then(|| keyframe.shape(prior.holds_tilt())).flatten();
+            // The error of the keyframe's skew is the same in all frames, as that of a slope.
+            let of_keyframe = shape.map_or(PoseRates::zeros(), |_| keyframe.rate_variance);
+            let frame_shutter = frame_shutter
+                .map(|prior| ShutterPrior { rate_variance: prior.rate_variance + of_keyframe, ..prior });
             let shutter = frame_shutter.as_ref().zip(shutter.as_ref());
             let (observations, noise_px) =
                 observations(keyframe, &found, camera, near, shutter, (plane.relief_m2, plane.new_ground_m2));
@@ -53,6 +59,7 @@ pub(super) fn fit_pose(
                 keyframe_pose: &keyframe.pose,
                 keyframe_covariance,
                 shutter,
+                shape: shape.as_ref(),
             };
             estimate(camera, observations, near, prior, &config.motion, random)
         };

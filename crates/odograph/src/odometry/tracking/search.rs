@@ -115,6 +115,7 @@ fn pose_of_probes(
         keyframe_pose: &keyframe.pose,
         keyframe_covariance,
         shutter,
+        shape: None,
     };
     let estimate = estimate(camera, observations, prediction, &prior, &config.motion, random)?;
     let probes = probes.map(|index| &keyframe.corners[index]);
