@@ -204,6 +204,17 @@ pub fn rows() -> Vec<BenchmarkRow> {
         BenchmarkRow { path: ahead, readout_is_given: true, ..with("rolling-20ms-told", rolling.clone()) },
         BenchmarkRow { path: eight, ..with("rolling-eight", rolling.clone()) },
         BenchmarkRow { path: eight, readout_is_given: true, ..with("rolling-eight-told", rolling.clone()) },
+        BenchmarkRow {
+            path: ahead,
+            readout_is_given: true,
+            ..with(
+                "rolling-undulation-told",
+                Effects {
+                    terrain: Terrain { undulation: Some(undulation), ..Terrain::default() },
+                    ..rolling.clone()
+                },
+            )
+        },
         with("rolling-vibration", Effects { vibration: Some(vibration), ..rolling }),
         BenchmarkRow {
             texture: "concrete",

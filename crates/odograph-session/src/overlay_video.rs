@@ -122,8 +122,8 @@ impl Drop for OverlayVideo {
     }
 }
 
-/// The format of a video of so many frames over a span of time. AVI has one interval for all
-/// frames: the mean.
+/// The format of a video with this number of frames over a span of time. AVI has one interval for
+/// all frames: the mean.
 fn format(size: (usize, usize), frames: usize, span_s: Option<(f64, f64)>) -> AviFormat {
     let mean = span_s.map(|(first_s, last_s)| frames.saturating_sub(1) as f64 / (last_s - first_s));
     let fps = mean.filter(|fps| fps.is_finite() && *fps > 0.0).unwrap_or(NOMINAL_FPS);

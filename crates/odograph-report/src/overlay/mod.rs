@@ -50,7 +50,7 @@ impl Zoom {
         Self { up: NARROWEST_PX.div_ceil(width).max(1), down: width.div_ceil(WIDEST_PX).max(1) }
     }
 
-    /// Length in the video of so many pixels of the image; what is left over is cut off.
+    /// Length in the video of a length in the image, pixels; what is left over is cut off.
     fn length(self, pixels: usize) -> usize {
         (pixels / self.down * self.up).max(1)
     }

@@ -26,7 +26,7 @@ fn digits_have_one_width_and_every_word_of_a_reason_can_be_written() {
     assert!(letters.width_px("speed") > letters.width_px("ill"));
     let mut canvas = Canvas::new(200, 30);
     letters.write(&mut canvas, (2, 2), "height −1.250 m", [255; 3]);
-    let inked = canvas.samples().iter().filter(|sample| **sample > 128).count();
+    let inked = canvas.image().samples().iter().filter(|sample| **sample > 128).count();
     assert!(inked > 300, "{inked}");
 }
 

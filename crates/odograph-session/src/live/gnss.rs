@@ -275,7 +275,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn sources_are_told_by_their_names() {
+    fn sources_are_recognised_by_their_names() {
         let named = |name: &str| GnssSource::named(name).unwrap();
         assert_eq!(named("-"), Some(GnssSource::Input));
         assert_eq!(named("udp:10110"), Some(GnssSource::Datagrams("127.0.0.1:10110".to_owned())));

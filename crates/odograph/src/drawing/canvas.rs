@@ -6,25 +6,23 @@ use crate::image::{GrayImage, RgbImage};
 /// Red, green, blue.
 pub type Colour = [u8; 3];
 
-/// An RGB picture. What lies outside of it is not drawn.
-#[derive(Debug, Clone, PartialEq, Eq)]
+/// An RGB image to draw on. What lies outside of it is not drawn.
+#[derive(Debug, Clone)]
 pub struct Canvas {
-    width: usize,
-    height: usize,
-    samples: Vec<u8>,
+    image: RgbImage,
 }
 
 impl Canvas {
     /// A black one.
     pub fn new(width: usize, height: usize) -> Self {
-        Self { width, height, samples: vec![0; 3 * width * height] }
+        Self { image: RgbImage::new(width, height) }
     }
 
     /// An image, each of its pixels enlarged to a square of `up` by `up`.
     pub fn enlarged(image: &RgbImage, up: usize) -> Self {
         let up = up.max(1);
         let mut canvas = Self::new(image.width() * up, image.height() * up);
-        for (y, row) in canvas.samples.chunks_exact_mut(3 * image.width() * up).enumerate() {
+        for (y, row) in canvas.image.samples_mut().chunks_exact_mut(3 * image.width() * up).enumerate() {
             let first = 3 * image.width() * (y / up);
             let pixels = image.samples()[first..].chunks_exact(3);
             for (square, pixel) in row.chunks_exact_mut(3 * up).zip(pixels) {
@@ -40,8 +38,8 @@ impl Canvas {
         let down = down.max(1);
         let mut canvas = Self::new(image.width() / down, image.height() / down);
         let count = (down * down) as u32;
-        for y in 0..canvas.height {
-            for x in 0..canvas.width {
+        for y in 0..canvas.height() {
+            for x in 0..canvas.width() {
                 let mut sums = [0_u32; 3];
                 for row in y * down..(y + 1) * down {
                     let first = 3 * (row * image.width() + x * down);
@@ -57,34 +55,33 @@ impl Canvas {
 
     /// Columns.
     pub fn width(&self) -> usize {
-        self.width
+        self.image.width()
     }
 
     /// Rows.
     pub fn height(&self) -> usize {
-        self.height
+        self.image.height()
     }
 
-    /// Interleaved RGB in row order.
-    pub fn samples(&self) -> &[u8] {
-        &self.samples
+    /// The image.
+    pub fn image(&self) -> &RgbImage {
+        &self.image
     }
 
-    /// The picture as an image.
+    /// The image without the canvas.
     pub fn into_image(self) -> RgbImage {
-        let Self { width, height, samples } = self;
-        RgbImage::from_samples(width, height, samples)
-            .unwrap_or_else(|| RgbImage::from(&GrayImage::new(width, height)))
+        self.image
     }
 
     /// Copies another picture to a place.
     pub fn place(&mut self, other: &Self, (left, top): (usize, usize)) {
-        let columns = other.width.min(self.width.saturating_sub(left));
-        for (row, from) in other.samples.chunks_exact(3 * other.width.max(1)).enumerate() {
+        let (width, height) = (self.width(), self.height());
+        let columns = other.width().min(width.saturating_sub(left));
+        for (row, from) in other.image.samples().chunks_exact(3 * other.width().max(1)).enumerate() {
             let y = top + row;
-            if y < self.height {
-                let first = 3 * (y * self.width + left);
-                self.samples[first..first + 3 * columns].copy_from_slice(&from[..3 * columns]);
+            if y < height {
+                let first = 3 * (y * width + left);
+                self.image.samples_mut()[first..first + 3 * columns].copy_from_slice(&from[..3 * columns]);
             }
         }
     }
@@ -108,17 +105,17 @@ impl Canvas {
 
     /// Sets a pixel.
     pub fn set(&mut self, x: usize, y: usize, colour: Colour) {
-        if x < self.width && y < self.height {
-            let at = 3 * (y * self.width + x);
-            self.samples[at..at + 3].copy_from_slice(&colour);
+        if x < self.width() && y < self.height() {
+            let at = 3 * (y * self.width() + x);
+            self.image.samples_mut()[at..at + 3].copy_from_slice(&colour);
         }
     }
 
     /// Mixes a colour into a pixel; `share` is 0 to 1.
     pub fn blend(&mut self, x: usize, y: usize, colour: Colour, share: f32) {
-        if x < self.width && y < self.height && share > 0.0 {
-            let at = 3 * (y * self.width + x);
-            for (sample, colour) in self.samples[at..at + 3].iter_mut().zip(colour) {
+        if x < self.width() && y < self.height() && share > 0.0 {
+            let at = 3 * (y * self.width() + x);
+            for (sample, colour) in self.image.samples_mut()[at..at + 3].iter_mut().zip(colour) {
                 let (from, to) = (f32::from(*sample), f32::from(colour));
                 *sample = (from + share.min(1.0) * (to - from) + 0.5) as u8;
             }
@@ -133,8 +130,8 @@ impl Canvas {
         colour: Colour,
         share: f32,
     ) {
-        for y in top..(top + height).min(self.height) {
-            for x in left..(left + width).min(self.width) {
+        for y in top..(top + height).min(self.height()) {
+            for x in left..(left + width).min(self.width()) {
                 self.blend(x, y, colour, share);
             }
         }
@@ -158,8 +155,8 @@ impl Canvas {
         };
         let along = (to.0 - from.0, to.1 - from.1);
         let length2 = along.0 * along.0 + along.1 * along.1;
-        for y in within(from.1.min(to.1), from.1.max(to.1), self.height) {
-            for x in within(from.0.min(to.0), from.0.max(to.0), self.width) {
+        for y in within(from.1.min(to.1), from.1.max(to.1), self.height()) {
+            for x in within(from.0.min(to.0), from.0.max(to.0), self.width()) {
                 let (dx, dy) = (x as f32 - from.0, y as f32 - from.1);
                 let share = if length2 > 0.0 {
                     ((dx * along.0 + dy * along.1) / length2).clamp(0.0, 1.0)

@@ -7,6 +7,7 @@
 //! weighs along its parallax. Derivation: `docs/math/elevation.md`.
 
 use crate::buffer::stored;
+use crate::geometry::{GroundPoint, GroundPose};
 
 /// Normal distribution of the elevation of a ground point above the plane z = 0.
 #[derive(Debug, Clone, Copy, PartialEq, Default)]
@@ -22,6 +23,15 @@ stored!(Elevation);
 impl Elevation {
     /// On the plane z = 0, exactly.
     pub const FLAT: Self = Self { mean_m: 0.0, variance_m2: 0.0 };
+}
+
+/// A ground point at another elevation, metres, on the same ray of its keyframe.
+pub fn along_ray(keyframe: &GroundPose, ground: GroundPoint, from_m: f64, to_m: f64) -> GroundPoint {
+    let nearer = (keyframe.height_m - to_m) / (keyframe.height_m - from_m);
+    GroundPoint::new(
+        keyframe.x_m + nearer * (ground.x_m - keyframe.x_m),
+        keyframe.y_m + nearer * (ground.y_m - keyframe.y_m),
+    )
 }
 
 /// Measurement of the elevation of a point by a frame, given the pose of the frame.

@@ -1,13 +1,12 @@
-//! The shape of uneven ground that all points share: level, slope and curvature. Derivation:
-//! `docs/math/elevation.md`.
+//! The trend surface of uneven ground: level, slope and curvature, whose errors all points share.
+//! Derivation: `docs/math/elevation.md`.
 
-use super::Elevation;
 use super::normal_equations::SHAPE;
 use crate::geometry::{GroundPoint, GroundPose};
 use nalgebra::{Matrix6, Vector6};
 
-/// Normal distribution of what the elevations of all points are off by together: a polynomial of
-/// second order. Distances from the origin and elevations are in units of a height.
+/// Normal distribution of the error that the elevations of all points share: a trend surface, a
+/// polynomial of second order. Distances from the origin and elevations are in units of a height.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct GroundShape {
     origin: GroundPoint,
@@ -109,21 +108,6 @@ impl GroundShape {
         let basis = self.basis(point);
         basis.dot(&(self.covariance * basis)).max(0.0)
     }
-}
-
-/// A ground point with its elevation, raised by some metres. It stays on the ray of the keyframe.
-pub fn raised(
-    keyframe: &GroundPose,
-    (ground, elevation): (GroundPoint, Elevation),
-    by_m: f64,
-) -> (GroundPoint, Elevation) {
-    let mean_m = elevation.mean_m + by_m;
-    let nearer = (keyframe.height_m - mean_m) / (keyframe.height_m - elevation.mean_m);
-    let ground = GroundPoint::new(
-        keyframe.x_m + nearer * (ground.x_m - keyframe.x_m),
-        keyframe.y_m + nearer * (ground.y_m - keyframe.y_m),
-    );
-    (ground, Elevation { mean_m, ..elevation })
 }
 
 /// What a frame measured of the shape.

@@ -28,7 +28,9 @@ mod correlated_noise;
 
 pub use coarse::{CoarseOptions, CoarseRegistration, GroundView, Hypothesis};
 pub use correlated_noise::ResidualCorrelation;
-pub use elevation::{Elevation, MAX_KERB_HEIGHT, MeasuredElevation, Roughness, SIGNIFICANT_SQUARED};
+pub use elevation::{
+    Elevation, MAX_KERB_HEIGHT, MeasuredElevation, Roughness, SIGNIFICANT_SQUARED, along_ray,
+};
 pub use global_image::global_image;
 pub use ground_patch::{GroundFromRay, GroundPatch, PatchWarp, ViewingPose};
 pub use ground_shape::{GroundShape, ShapeEstimate, UNKNOWN_SLOPE};
@@ -159,8 +161,8 @@ pub struct Observations<'a> {
     /// Prior of a rolling shutter, and the pose rates with which the pixels were corrected to a
     /// global shutter; `None` for a global shutter.
     pub shutter: Option<(&'a ShutterPrior, PoseRates)>,
-    /// What the elevations of all points are off by together, only beside a shutter whose skew is
-    /// fitted; `None` where their errors are independent.
+    /// The error that the elevations of all points share, only beside a skew that is fitted; `None`
+    /// where their errors are independent.
     pub shape: Option<&'a GroundShape>,
 }
 

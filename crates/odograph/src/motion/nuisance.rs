@@ -1,8 +1,8 @@
 //! Nuisance parameters of a frame's fit: height and tilt of the keyframe, skew of a rolling
 //! shutter, shape of the ground, elevations of the points. Derivation: `docs/math/frame-pose.md`.
 
-use super::elevation::Parallax;
-use super::ground_shape::{ShapeEstimate, raised};
+use super::elevation::{Parallax, along_ray};
+use super::ground_shape::ShapeEstimate;
 use super::normal_equations::{NormalEquations, POSE, Row, SHAPE, WITH_KEYFRAME, WITH_SHAPE, WITH_SKEW};
 use super::residual::{Axes, Residual, ground_by_pose};
 use super::{KeyframeError, Observation, Observations, PoseRates, ShutterEstimate, ShutterPrior};
@@ -131,11 +131,13 @@ impl<'a> Nuisance<'a> {
         whiten(first, second);
     }
 
-    /// An observation with the shape of the ground as it is estimated; `None` where none is.
+    /// An observation of ground of the estimated shape; `None` without a shape.
     pub fn shaped(&self, observation: &Observation) -> Option<Observation> {
-        let by_m = self.observations.shape?.at(observation.ground, &self.shape());
-        let Observation { ground, elevation, .. } = *observation;
-        let (ground, elevation) = raised(self.observations.keyframe_pose, (ground, elevation), by_m);
+        let Observations { shape, keyframe_pose, .. } = self.observations;
+        let Observation { ground, mut elevation, .. } = *observation;
+        let before_m = elevation.mean_m;
+        elevation.mean_m += shape?.at(ground, &self.shape());
+        let ground = along_ray(keyframe_pose, ground, before_m, elevation.mean_m);
         Some(Observation { ground, elevation, ..*observation })
     }
 

@@ -3,7 +3,7 @@
 
 use super::normal_equations::Unknowns;
 use super::planar_pose::gauss_newton_step;
-use super::{Elevation, GroundShape, MotionConfig, MotionModel, Observation, Observations, Random, RigPrior};
+use super::{Elevation, MotionConfig, MotionModel, Observation, Observations, Random, RigPrior};
 use crate::buffer::{Buffer, stored};
 use crate::camera::Camera;
 use crate::geometry::{GroundPoint, GroundPose, Ray, length};
@@ -29,11 +29,12 @@ pub fn consensus(
     config: &MotionConfig,
     random: &mut Random,
 ) -> Option<(GroundPose, Buffer<bool>)> {
-    let Observations { seen: observations, keyframe_pose, shape, .. } = observations;
+    let all = observations;
+    let observations = all.seen;
     // Height and tilt are not refined yet, so the threshold is wider.
     let limit_px2 =
         if config.model == MotionModel::Auto { 2.0 * config.inlier_px } else { config.inlier_px }.powi(2);
-    let predicted = inliers_of(camera, observations, keyframe_pose, shape, prediction, limit_px2);
+    let predicted = inliers_of(camera, all, prediction, limit_px2);
     let count = predicted.iter().filter(|&&agrees| agrees).count();
     if count >= config.minimum_inliers && count as f64 >= MIN_PREDICTED_INLIERS * observations.len() as f64 {
         return Some((*prediction, predicted));
@@ -56,15 +57,7 @@ pub fn consensus(
                 match ray {
                     Some(ray) if point.z > 1e-9 => {
                         let error_px = [fx * (point.x / point.z - ray.x), fy * (point.y / point.z - ray.y)];
-                        squared_distance(
-                            observation,
-                            keyframe_pose,
-                            shape,
-                            &point,
-                            &camera_from_world,
-                            (fx, fy),
-                            error_px,
-                        )
+                        squared_distance(observation, all, &point, &camera_from_world, (fx, fy), error_px)
                     }
                     _ => f64::INFINITY,
                 }
@@ -100,9 +93,7 @@ const MIN_PREDICTED_INLIERS: f64 = 0.8;
 /// Which observations are within the limit, pixels², of their projections at a pose.
 fn inliers_of(
     camera: &Camera,
-    observations: &[Observation],
-    keyframe_pose: &GroundPose,
-    shape: Option<&GroundShape>,
+    observations: Observations<'_>,
     pose: &GroundPose,
     limit_px2: f64,
 ) -> Buffer<bool> {
@@ -116,18 +107,11 @@ fn inliers_of(
         seen.is_some_and(|seen| {
             let error_px = [seen.x - observation.pixel.x, seen.y - observation.pixel.y];
             let focal_px = camera.focal_px();
-            squared_distance(
-                observation,
-                keyframe_pose,
-                shape,
-                &point,
-                &camera_from_world,
-                focal_px,
-                error_px,
-            ) < limit_px2
+            squared_distance(observation, observations, &point, &camera_from_world, focal_px, error_px)
+                < limit_px2
         })
     };
-    observations.iter().map(agrees).collect()
+    observations.seen.iter().map(agrees).collect()
 }
 
 /// Vector from the camera to an observed point, in world axes.
@@ -139,8 +123,7 @@ fn from_camera(observation: &Observation, pose: &GroundPose) -> Vector3<f64> {
 /// Squared re-projection error, pixels², after the best elevation within three standard deviations.
 fn squared_distance(
     observation: &Observation,
-    keyframe_pose: &GroundPose,
-    shape: Option<&GroundShape>,
+    Observations { keyframe_pose, shape, .. }: Observations<'_>,
     point: &Vector3<f64>,
     camera_from_world: &Matrix3<f64>,
     (fx, fy): (f64, f64),

@@ -7,8 +7,8 @@ use super::shutter::ShutterState;
 use crate::camera::Camera;
 use crate::geometry::GroundPose;
 use crate::motion::{
-    MotionEstimate, MotionModel, PoseRates, RigPriorEstimator, RollingShutter, Roughness, ShutterPrior,
-    Unevenness, ViewingPose,
+    GroundShape, MotionEstimate, MotionModel, PoseRates, RigPrior, RigPriorEstimator, RollingShutter,
+    Roughness, ShutterPrior, Unevenness, ViewingPose,
 };
 use nalgebra::{Matrix2, Matrix6, Matrix6x2, Vector2};
 
@@ -270,10 +270,12 @@ impl Learned {
         self.frame_shutter.as_ref().is_some_and(|prior| prior.applies)
     }
 
-    /// Whether the shape that points of uneven ground share is estimated: a slope that is not known
-    /// looks like a skew.
-    pub fn estimates_shape(&self) -> bool {
-        self.skew_is_fitted() && self.shutter.as_ref().is_some_and(ShutterState::is_known)
+    /// The shape of the ground of a keyframe where it is to be estimated: beside a skew, as which an
+    /// unknown slope would pass.
+    pub fn shape(&self, keyframe: &Keyframe, prior: &RigPrior) -> Option<GroundShape> {
+        let is_beside_skew =
+            self.skew_is_fitted() && self.shutter.as_ref().is_some_and(ShutterState::is_known);
+        is_beside_skew.then(|| keyframe.shape(prior.holds_tilt())).flatten()
     }
 
     /// Whether the present frame is taken to be skewed by a rolling shutter.

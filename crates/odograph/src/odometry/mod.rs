@@ -345,7 +345,7 @@ impl Odometry {
         }
         keyframe.forget_elevations(&self.camera);
         let prior = self.learned.rig_prior.prior(&measured.prediction, &self.config.motion);
-        if self.learned.estimates_shape() && keyframe.shape(prior.holds_tilt()).is_some() {
+        if self.learned.shape(keyframe, &prior).is_some() {
             self.expose_on_slope();
         }
         let Ok(again) = self.measure_near(pyramid, time_s) else { return measured };

@@ -14,7 +14,7 @@ pub struct Surface {
     mean_m: f64,
     /// Points per square metre.
     density: f64,
-    /// What the elevations are off by together; `None` where their errors are independent.
+    /// The error that the elevations share; `None` where their errors are independent.
     pub shape: Option<GroundShape>,
 }
 

@@ -4,8 +4,8 @@ use super::super::moving_ground::StrayCount;
 use super::projection::GroundProjection;
 use crate::camera::Camera;
 use crate::flow::{Template, Warp};
-use crate::geometry::{GroundPoint, GroundPose};
-use crate::motion::{Elevation, GroundPatch, MeasuredElevation, SIGNIFICANT_SQUARED, ViewingPose};
+use crate::geometry::GroundPose;
+use crate::motion::{Elevation, GroundPatch, MeasuredElevation, SIGNIFICANT_SQUARED, ViewingPose, along_ray};
 use nalgebra::Vector2;
 
 /// A corner of a keyframe.
@@ -26,7 +26,7 @@ pub struct KeyCorner {
     /// Information of the elevation that was taken over from a frame, 1/metres²; zero without.
     information_taken_over: f64,
     /// By how much the shape of the ground has raised it, metres.
-    bent_m: f64,
+    pub(super) bent_m: f64,
     /// Whether the keyframe before did not have its ground in view.
     pub is_on_new_ground: bool,
     pub(super) strays: StrayCount,
@@ -181,11 +181,7 @@ impl KeyCorner {
             return Vector2::zeros();
         };
         let GroundPatch { ground, elevation_m, .. } = self.patch;
-        let nearer = (keyframe.height_m - measured.mean_m) / (keyframe.height_m - elevation_m);
-        let raised = GroundPoint::new(
-            keyframe.x_m + nearer * (ground.x_m - keyframe.x_m),
-            keyframe.y_m + nearer * (ground.y_m - keyframe.y_m),
-        );
+        let raised = along_ray(keyframe, ground, elevation_m, measured.mean_m);
         let (from, to) = (self.patch.pixel(camera, pose), pose.pixel(camera, raised, measured.mean_m));
         from.zip(to).map_or(Vector2::zeros(), |(from, to)| Vector2::new(to.x - from.x, to.y - from.y))
     }

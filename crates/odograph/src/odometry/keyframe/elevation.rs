@@ -9,7 +9,7 @@ use crate::camera::Camera;
 use crate::geometry::{GroundPoint, GroundPose};
 use crate::motion::{
     Elevation, GroundPatch, GroundShape, MAX_KERB_HEIGHT, MeasuredElevation, MotionEstimate, Roughness,
-    ShapeEstimate, ViewingPose,
+    ShapeEstimate, ViewingPose, along_ray,
 };
 
 /// Ground within this part of the height is below the camera.
@@ -69,8 +69,8 @@ impl Keyframe {
         (self.surface, self.shape) = (surface, None);
     }
 
-    /// What the elevations of its corners are off by together; `None` where their errors are
-    /// independent. Ground of which no keyframe knows anything has a shape if one `may_begin`.
+    /// The error that the elevations of its corners share; `None` where their errors are
+    /// independent. Ground that no earlier keyframe has measured has one only if it `may_begin`.
     pub fn shape(&self, may_begin: bool) -> Option<GroundShape> {
         let corners = self.corners.iter().map(|corner| corner.patch.ground);
         match (self.shape, &self.surface) {
@@ -175,10 +175,7 @@ impl Keyframe {
             let unknown = Elevation { mean_m: elevation_m, variance_m2: relief_m2 };
             let measured = corner.measured.map(|measured| measured.elevation);
             let elevation = measured.or(corner.elevation).unwrap_or(unknown);
-            let nearer = (self.pose.height_m - elevation.mean_m) / (self.pose.height_m - elevation_m);
-            let x_m = self.pose.x_m + nearer * (ground.x_m - self.pose.x_m);
-            let y_m = self.pose.y_m + nearer * (ground.y_m - self.pose.y_m);
-            (GroundPoint::new(x_m, y_m), elevation)
+            (along_ray(&self.pose, ground, elevation_m, elevation.mean_m), elevation)
         };
         Surface::new(self.corners.iter().map(point).collect(), relief_m2, self.shape)
     }

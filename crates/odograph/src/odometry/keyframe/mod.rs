@@ -267,6 +267,8 @@ impl Keyframe {
         self.shutter.readout_s = readout_s.unwrap_or(self.shutter.readout_s);
         self.dense = OnceLock::new();
         self.view = None;
+        self.shape = None;
+        self.corners.iter_mut().for_each(|corner| corner.bent_m = 0.0);
         self.project_again(camera);
         self.corners.iter_mut().for_each(KeyCorner::forget_elevations);
     }

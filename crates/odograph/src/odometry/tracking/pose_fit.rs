@@ -42,8 +42,7 @@ pub(super) fn fit_pose(
             let frame_shutter = learned
                 .frame_shutter
                 .map(|prior| ShutterPrior { applies: prior.applies || plane.is_tilted, ..prior });
-            let is_shaped = plane.relief_m2 > 0.0 && learned.estimates_shape();
-            let shape = is_shaped.then(|| keyframe.shape(prior.holds_tilt())).flatten();
+            let shape = (plane.relief_m2 > 0.0).then(|| learned.shape(keyframe, prior)).flatten();
             // The error of the keyframe's skew is the same in all frames, as that of a slope.
             let of_keyframe = shape.map_or(PoseRates::zeros(), |_| keyframe.rate_variance);
             let frame_shutter = frame_shutter
