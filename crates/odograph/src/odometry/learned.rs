@@ -270,7 +270,7 @@ impl Learned {
         self.frame_shutter.as_ref().is_some_and(|prior| prior.applies)
     }
 
-    /// The shape of the ground of a keyframe where it is to be estimated: beside a skew, as which an
+    /// The shape of a keyframe's ground where it is to be estimated: beside a skew, for which an
     /// unknown slope would pass.
     pub fn shape(&self, keyframe: &Keyframe, prior: &RigPrior) -> Option<GroundShape> {
         let is_beside_skew =
