@@ -63,5 +63,5 @@ fn difference_at_beginning(
             return Ok(difference);
         }
     }
-    Ok(None)
+    Ok(monitor.at_end())
 }

@@ -7,7 +7,7 @@
 use crate::camera::{Camera, Rig};
 use crate::error::Result;
 use crate::fixed_pattern::NonuniformityCorrection;
-use crate::mounting::{CalibrationMonitor, CalibrationUpdate};
+use crate::mounting::{CalibrationMonitor, CalibrationUpdate, ReadoutProfile, ReadoutTrial, UnknownReadout};
 use crate::odometry::Odometry;
 use crate::trajectory::FrameEstimate;
 
@@ -18,6 +18,10 @@ pub enum CameraDifference {
     Calibration(Box<CalibrationUpdate>),
     /// It adds a fixed pattern to its images.
     FixedPattern(NonuniformityCorrection),
+    /// Its readout time is unknown and matters: several are to be tried.
+    UnknownReadout(ReadoutProfile),
+    /// The mean log residual with the readout time that was tried.
+    TriedReadout(f64),
 }
 
 /// How a pass over a recording ended.
@@ -46,6 +50,9 @@ pub struct MultiPassCalibration {
     pub lens_is_known: bool,
     given: (Camera, Rig),
     found: Option<CalibrationUpdate>,
+    /// Readout times that are tried, and whether all have been.
+    profile: Option<ReadoutProfile>,
+    is_profiled: bool,
 }
 
 impl MultiPassCalibration {
@@ -60,6 +67,8 @@ impl MultiPassCalibration {
             corrects_pattern: false,
             lens_is_known: false,
             found: None,
+            profile: None,
+            is_profiled: false,
         }
     }
 
@@ -76,6 +85,9 @@ impl MultiPassCalibration {
 
     /// The monitor of the next pass.
     pub fn monitor(&self) -> CameraMonitor {
+        if let Some(profile) = &self.profile {
+            return CameraMonitor { trial: Some(ReadoutTrial::of(profile)), ..CameraMonitor::default() };
+        }
         let calibration = self.calibrates.then(|| {
             let monitor = match &self.found {
                 Some(found) => CalibrationMonitor::with_estimate(&self.given.0, &self.given.1, found),
@@ -83,7 +95,13 @@ impl MultiPassCalibration {
             };
             if self.lens_is_known { monitor.with_lens_known() } else { monitor }
         });
-        CameraMonitor { calibration, pattern: self.corrects_pattern && self.correction.is_none() }
+        let is_profiled = !self.calibrates || self.is_profiled || self.given.0.readout_s().is_some();
+        CameraMonitor {
+            calibration,
+            pattern: self.corrects_pattern && self.correction.is_none(),
+            readout: (!is_profiled).then(UnknownReadout::default),
+            trial: None,
+        }
     }
 
     /// Mount, lens and readout time that the passes have found, if they differ from the given ones.
@@ -95,20 +113,50 @@ impl MultiPassCalibration {
     pub fn apply(&mut self, difference: CameraDifference) {
         match difference {
             CameraDifference::Calibration(found) => {
-                let (camera, rig) = &self.given;
-                (self.camera, self.rig) = (found.camera(camera), found.rig(rig));
-                self.found = Some(*found);
+                self.assume(*found);
             }
             CameraDifference::FixedPattern(pattern) => self.correction = Some(pattern),
+            CameraDifference::UnknownReadout(profile) => self.try_next(profile),
+            CameraDifference::TriedReadout(log_residual) => {
+                if let Some(mut profile) = self.profile.take() {
+                    profile.add(log_residual);
+                    self.try_next(profile);
+                }
+            }
         }
+    }
+
+    /// The camera with the next readout time of a profile, or with that which it has found.
+    fn try_next(&mut self, profile: ReadoutProfile) {
+        let next_s = profile.next_s();
+        let (readout_s, deviation_s) = match next_s {
+            Some(readout_s) => (readout_s, 0.0),
+            None => profile.measured(),
+        };
+        // From here on it is taken for given: pairs of views would not measure it better.
+        let camera = self.given.0.clone();
+        if let Ok(camera) = camera.with_readout_s(Some(readout_s)) {
+            self.given.0 = camera.with_readout_deviation_s(deviation_s);
+        }
+        self.assume(CalibrationUpdate { readout: None, ..self.found.clone().unwrap_or_default() });
+        self.is_profiled = next_s.is_none();
+        self.profile = next_s.map(|_| profile);
+    }
+
+    fn assume(&mut self, found: CalibrationUpdate) {
+        let (camera, rig) = &self.given;
+        (self.camera, self.rig) = (found.camera(camera), found.rig(rig));
+        self.found = Some(found).filter(|found| found.pairs > 0);
     }
 }
 
 /// Compares the camera of one pass with what the pass assumes.
-#[derive(Debug)]
+#[derive(Debug, Default)]
 pub struct CameraMonitor {
     calibration: Option<CalibrationMonitor>,
     pattern: bool,
+    readout: Option<UnknownReadout>,
+    trial: Option<ReadoutTrial>,
 }
 
 impl CameraMonitor {
@@ -118,14 +166,24 @@ impl CameraMonitor {
         if let Some(pattern) = odometry.correction().filter(|_| self.pattern) {
             return Some(CameraDifference::FixedPattern(pattern.clone()));
         }
-        let found = self.calibration.as_mut()?.watch(frame, odometry)?;
-        Some(CameraDifference::Calibration(Box::new(found)))
+        if let Some(trial) = &mut self.trial {
+            return trial.watch(frame).map(CameraDifference::TriedReadout);
+        }
+        let found = self.calibration.as_mut().and_then(|monitor| monitor.watch(frame, odometry));
+        let unknown = self.readout.as_mut().and_then(|readout| readout.watch(frame, odometry));
+        let found = found.map(|found| CameraDifference::Calibration(Box::new(found)));
+        found.or(unknown.map(CameraDifference::UnknownReadout))
     }
 
     /// The check at the end of the recording ([`CalibrationMonitor::at_end`]).
     pub fn at_end(&self) -> Option<CameraDifference> {
-        let found = self.calibration.as_ref()?.at_end()?;
-        Some(CameraDifference::Calibration(Box::new(found)))
+        if let Some(trial) = &self.trial {
+            return Some(CameraDifference::TriedReadout(trial.mean_log_residual()));
+        }
+        let found = self.calibration.as_ref().and_then(CalibrationMonitor::at_end);
+        let unknown = self.readout.as_ref().and_then(UnknownReadout::at_end);
+        let found = found.map(|found| CameraDifference::Calibration(Box::new(found)));
+        found.or(unknown.map(CameraDifference::UnknownReadout))
     }
 
     /// Number of pairs of views that the estimate of mount and lens has so far.

@@ -11,5 +11,6 @@ mod driving;
 
 pub use driving::{
     CalibrationMonitor, CalibrationUpdate, DrivenTilt, DrivingConfig, LensCoefficient, LensMeasurement,
-    Observability, OnlineCalibration, ReadoutMeasurement, SelfCalibration, TiltMeasurement,
+    Observability, OnlineCalibration, ReadoutMeasurement, ReadoutProfile, ReadoutTrial, SelfCalibration,
+    TiltMeasurement, UnknownReadout,
 };

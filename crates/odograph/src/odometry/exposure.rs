@@ -7,6 +7,7 @@
 
 use super::Odometry;
 use super::keyframe::Keyframe;
+use super::shutter::ShutterState;
 use crate::camera::Camera;
 use crate::geometry::GroundPose;
 use crate::motion::{MotionEstimate, PoseRates, RollingShutter, UNKNOWN_SLOPE};
@@ -40,11 +41,14 @@ impl Odometry {
             return;
         };
         let relative_variance = prior.readout.variance_s2 / readout_s.powi(2);
+        let (_, of_slope) = self.slope_variances(estimate, &keyframe.pose, readout_s);
         for i in 0..6 {
             // The rates by the rows have the error of the keyframe, too.
             let of_readout = relative_variance * (seen.expected_rates[i] - keyframe.shutter.rates[i]).powi(2);
-            let by_rows =
-                seen.evidence_variance[i] / readout_s.powi(2) + keyframe.rate_variance[i] + of_readout;
+            let by_rows = seen.evidence_variance[i] / readout_s.powi(2)
+                + keyframe.rate_variance[i]
+                + of_readout
+                + of_slope;
             let predicted = prior.rate_variance[i];
             if by_rows.is_finite() && by_rows + predicted > 0.0 {
                 let gain = predicted / (predicted + by_rows);
@@ -58,16 +62,20 @@ impl Odometry {
     pub(super) fn refine_exposure(&mut self, estimate: &MotionEstimate) {
         let (Some(seen), Some(prior)) = (&estimate.shutter, self.learned.frame_shutter) else { return };
         let readout_s = prior.readout.mean_s;
-        if self.frames == self.serves_since + 1 && self.keyframes == 1 {
-            self.expose_by_first_step(seen.expected_rates);
+        if self.keyframes == 1 {
+            match self.frames - self.serves_since {
+                1 => self.expose_by_first_step(seen.expected_rates),
+                2 => self.expose_by_first_steps(),
+                _ => {}
+            }
         }
         if !self.rows_determine_rates(readout_s) {
             return;
         }
         let relative_variance = prior.readout.variance_s2 / readout_s.powi(2);
+        let Some(keyframe) = &self.keyframe else { return };
+        let (of_slope, unshaped) = self.slope_variances(estimate, &keyframe.pose, readout_s);
         let Some(keyframe) = &mut self.keyframe else { return };
-        let (dx_m, dy_m) = (estimate.pose.x_m - keyframe.pose.x_m, estimate.pose.y_m - keyframe.pose.y_m);
-        let of_slope = (UNKNOWN_SLOPE * dx_m.hypot(dy_m) / readout_s).powi(2);
         let mut rates = keyframe.shutter.rates;
         for i in 0..6 {
             let of_readout = relative_variance * (seen.expected_rates[i] - rates[i]).powi(2);
@@ -77,7 +85,7 @@ impl Odometry {
                 let off = off + rates[i] - on_slope[i];
                 kalman_update(&mut on_slope[i], &mut variance[i], off, noise + of_slope);
             }
-            kalman_update(&mut rates[i], &mut keyframe.rate_variance[i], off, noise);
+            kalman_update(&mut rates[i], &mut keyframe.rate_variance[i], off, noise + unshaped);
         }
         let moved = RollingShutter { rates: rates - keyframe.shutter.rates, readout_s, ..keyframe.shutter };
         if largest_shift_px(&self.camera, &keyframe.pose, &moved) > NEGLIGIBLE_PX {
@@ -95,12 +103,39 @@ impl Odometry {
         keyframe.expose(&self.camera, RollingShutter { rates, ..keyframe.shutter });
     }
 
+    /// The first keyframe moved as the parabola through its pose and the two after it says, give or
+    /// take the change of the rates.
+    fn expose_by_first_steps(&mut self) {
+        let steps = self.learned.shutter().and_then(ShutterState::first_steps);
+        let (Some([first, second]), Some(keyframe)) = (steps, &mut self.keyframe) else { return };
+        let (change, height_m) = (second - first, keyframe.pose.height_m);
+        let least = ShutterState::least_rate_variance(height_m);
+        let (rates, variance) = (first - 0.5 * change, change.component_mul(&change) + least);
+        keyframe.rate_variance = variance;
+        keyframe.rates_on_slope = Some((rates, variance));
+        keyframe.expose(&self.camera, RollingShutter { rates, ..keyframe.shutter });
+    }
+
     /// The rates of the present keyframe as they are if the ground slopes: it was taken to be flat.
     pub(super) fn expose_on_slope(&mut self) {
         let Some(keyframe) = &mut self.keyframe else { return };
         let Some((rates, variance)) = keyframe.rates_on_slope else { return };
         keyframe.rate_variance = variance;
         keyframe.expose(&self.camera, RollingShutter { rates, ..keyframe.shutter });
+    }
+
+    /// What an unknown slope of the ground does to rates that rows show, as a variance: it passes
+    /// for a skew. Also what is left of it beside a fit that estimates the shape of uneven ground.
+    fn slope_variances(
+        &self,
+        estimate: &MotionEstimate,
+        keyframe: &GroundPose,
+        readout_s: f64,
+    ) -> (f64, f64) {
+        let (dx_m, dy_m) = (estimate.pose.x_m - keyframe.x_m, estimate.pose.y_m - keyframe.y_m);
+        let of_slope = (UNKNOWN_SLOPE * dx_m.hypot(dy_m) / readout_s).powi(2);
+        let is_unshaped = self.learned.relief_m2() > 0.0 && estimate.shape.is_none();
+        (of_slope, if is_unshaped { of_slope } else { 0.0 })
     }
 
     /// Whether the readout time is known well enough for rows to determine rates.

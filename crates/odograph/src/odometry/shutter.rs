@@ -192,6 +192,8 @@ impl ShutterState {
         // What is only looked at may be anything.
         let readout = match self.phase {
             ShutterDecision::TakenGlobal => Readout { mean_s: 0.0, variance_s2: UNKNOWN_READOUT_S.powi(2) },
+            // All images share its error, which no frame may explain by itself.
+            ShutterDecision::Settled => Readout { variance_s2: 0.0, ..self.readout },
             _ => self.readout,
         };
         let (acceleration_by_pose, acceleration_offset) = self.accelerations(last, step_s);
@@ -246,7 +248,8 @@ impl ShutterState {
             let off = 0.5 * (step - 2.0 * *last + *before);
             for i in 0..6 {
                 let (variance, square) = (&mut self.rate_variance[i], off[i] * off[i]);
-                let rate = if square > *variance { RAISING } else { LOWERING };
+                let rate =
+                    if square > *variance { RAISING } else { LOWERING.max(1.0 / self.steps_seen as f64) };
                 let unit = if matches!(i, 0 | 1 | 3) { height_m } else { 1.0 };
                 *variance += rate * (square - *variance);
                 if i < 3 {
@@ -256,6 +259,17 @@ impl ShutterState {
         }
         self.history.push_front(step);
         self.history.truncate(MOST_STEPS);
+    }
+
+    /// The first two steps where there were no others: mean rates, the first one first.
+    pub fn first_steps(&self) -> Option<[PoseRates; 2]> {
+        (self.history.len() == 2).then(|| [self.history[1], self.history[0]])
+    }
+
+    /// Lower bound of the variance of the rates of a camera at this height.
+    pub fn least_rate_variance(height_m: f64) -> PoseRates {
+        let (shift, turn) = ((LEAST_RATE_ERROR * height_m).powi(2), LEAST_RATE_ERROR * LEAST_RATE_ERROR);
+        PoseRates::new(shift, shift, turn, 0.0, 0.0, 0.0)
     }
 
     /// Learns the readout time from a measured frame, once the next one determines its rates.

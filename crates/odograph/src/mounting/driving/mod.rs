@@ -22,6 +22,7 @@ mod lens;
 mod online;
 mod rates;
 mod readout;
+mod readout_profile;
 mod monitor;
 
 use bundle::{READOUT, Solved, TILT};
@@ -29,6 +30,7 @@ pub use lens::{LensCoefficient, LensMeasurement, SelfCalibration};
 pub use monitor::{CalibrationMonitor, CalibrationUpdate};
 pub use online::OnlineCalibration;
 pub use readout::ReadoutMeasurement;
+pub use readout_profile::{ReadoutProfile, ReadoutTrial, UnknownReadout};
 
 use crate::camera::{Camera, CameraUncertainty, Rig};
 use crate::error::{Error, Result};
