@@ -266,12 +266,6 @@ impl ShutterState {
         (self.history.len() == 2).then(|| [self.history[1], self.history[0]])
     }
 
-    /// Lower bound of the variance of the rates of a camera at this height.
-    pub fn least_rate_variance(height_m: f64) -> PoseRates {
-        let (shift, turn) = ((LEAST_RATE_ERROR * height_m).powi(2), LEAST_RATE_ERROR * LEAST_RATE_ERROR);
-        PoseRates::new(shift, shift, turn, 0.0, 0.0, 0.0)
-    }
-
     /// Learns the readout time from a measured frame, once the next one determines its rates.
     pub fn saw(
         &mut self,
