@@ -130,7 +130,8 @@ impl MultiPassCalibration {
     fn try_next(&mut self, profile: ReadoutProfile) {
         let next_s = profile.next_s();
         let (readout_s, deviation_s) = match next_s {
-            Some(readout_s) => (readout_s, 0.0),
+            // An interrupted trial states that its readout time is a guess.
+            Some(readout_s) => (readout_s, profile.unknown_s()),
             None => profile.measured(),
         };
         // From here on it is taken for given: pairs of views would not measure it better.

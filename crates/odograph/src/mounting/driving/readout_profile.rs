@@ -73,6 +73,11 @@ impl ReadoutProfile {
         }
     }
 
+    /// Standard deviation of a readout time of which nothing is known, seconds.
+    pub fn unknown_s(&self) -> f64 {
+        0.5 * self.longest_s
+    }
+
     fn has(&self, readout_s: f64) -> bool {
         self.tried.iter().any(|(tried_s, _)| (tried_s - readout_s).abs() < 1e-9)
     }
@@ -102,7 +107,7 @@ impl ReadoutProfile {
         let best = self.tried.iter().position(|tried| rolls && *tried == self.best()).unwrap_or(0);
         let middle = best.clamp(1, self.tried.len().saturating_sub(2).max(1));
         let Some(&[(a, of_a), (b, of_b), (c, of_c)]) = self.tried.get(middle - 1..middle + 2) else {
-            return (0.0, 0.5 * self.longest_s);
+            return (0.0, self.unknown_s());
         };
         let (before, after) = ((of_b - of_a) / (b - a), (of_c - of_b) / (c - b));
         let half_curvature = (after - before) / (c - a);
@@ -113,8 +118,8 @@ impl ReadoutProfile {
             true => self.best().0,
             false => 0.0,
         };
-        let deviation_s = if is_convex { (CHANCE_GAIN / half_curvature).sqrt() } else { self.longest_s };
-        (readout_s, deviation_s.min(0.5 * self.longest_s))
+        let deviation_s = if is_convex { (CHANCE_GAIN / half_curvature).sqrt() } else { f64::INFINITY };
+        (readout_s, deviation_s.min(self.unknown_s()))
     }
 }
 
