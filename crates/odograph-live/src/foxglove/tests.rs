@@ -34,7 +34,10 @@ fn frame(number: u64) -> FrameEstimate {
 }
 
 fn picture() -> TrackedImage {
-    let track = |x: f64, inlier| TrackView { pixel: Pixel::new(x, 3.0), corner: Pixel::new(x, 4.0), inlier };
+    let track = |x: f64, inlier| {
+        let corner = Pixel::new(x, 4.0);
+        TrackView { pixel: Pixel::new(x, 3.0), inlier, ..TrackView::exact(corner) }
+    };
     TrackedImage { gray: GrayImage::new(16, 12), tracks: vec![track(2.0, true), track(7.0, false)] }
 }
 

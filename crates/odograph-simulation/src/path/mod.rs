@@ -221,18 +221,36 @@ impl Path {
         self.length_m
     }
 
-    /// Pose at a time, seconds, of a camera mounted as in `rig`; at rest before the start and after
-    /// the end.
+    /// Pose at a time, seconds, of a camera mounted as in `rig`. A path from rest to rest is at rest
+    /// before its start and after its end.
     ///
     /// The world frame is that of [`odograph::geometry`]: at time 0 the camera is above the origin
     /// and the top of its image points along x.
     pub fn pose(&self, time_s: f64, rig: &Rig) -> GroundPose {
-        let place = self.place(time_s);
+        let place = self.place_beyond(time_s);
         // World x is the direction of the image's top, which the mount yaw rotates away from the
         // vehicle's forward direction.
         let forward_rad = if self.in_world { 0.0 } else { -rig.yaw_rad };
         let (x_m, y_m) = Se2::rotation(forward_rad).rotate(place.x_m, place.y_m);
         GroundPose { x_m, y_m, heading_rad: place.heading_rad, ..rig.first_pose() }
+    }
+
+    /// The place at a time that may be a little before the first frame or after the last one, when
+    /// rows of these are exposed: the camera goes on at the same rates.
+    fn place_beyond(&self, time_s: f64) -> Se2 {
+        let nearest_s = time_s.clamp(0.0, self.duration_s);
+        let beyond_s = (time_s - nearest_s).clamp(-MARGIN_S, MARGIN_S);
+        let place = self.place(nearest_s);
+        if beyond_s == 0.0 {
+            return place;
+        }
+        let inside = self.place(nearest_s - DIFFERENCE_S.copysign(beyond_s));
+        let steps = beyond_s.abs() / DIFFERENCE_S;
+        Se2 {
+            x_m: place.x_m + steps * (place.x_m - inside.x_m),
+            y_m: place.y_m + steps * (place.y_m - inside.y_m),
+            heading_rad: place.heading_rad + steps * (place.heading_rad - inside.heading_rad),
+        }
     }
 
     fn place(&self, time_s: f64) -> Se2 {
@@ -265,6 +283,12 @@ fn positive(name: &str, value: f64, unit: &str) -> Result<()> {
         "the path's {name} is {value:?}; it must be a positive number of {unit}, below {LARGEST}"
     )))
 }
+
+/// Rows of a frame are exposed within this time about its middle, seconds.
+const MARGIN_S: f64 = 0.05;
+
+/// Time over which the rates at the ends are differences, seconds.
+const DIFFERENCE_S: f64 = 1e-4;
 
 struct Builder {
     speed_m_s: f64,

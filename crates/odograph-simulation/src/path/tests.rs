@@ -110,6 +110,18 @@ fn lanes_are_parallel_with_the_configured_spacing() {
 }
 
 #[test]
+fn a_path_at_full_speed_goes_on_beyond_its_ends() {
+    let rig = Rig::level(0.9);
+    for (at_rest, speed_m_s) in [(true, 0.0), (false, 0.5)] {
+        let path = Path::new(PathKind::Straight { length_m: 2.0 }, 0.5, 0.8, at_rest).unwrap();
+        for time_s in [-0.02, path.duration_s() + 0.01] {
+            let rate = (path.pose(time_s + 0.01, &rig).x_m - path.pose(time_s, &rig).x_m) / 0.01;
+            assert!((rate - speed_m_s).abs() < 1e-6, "{rate} at {time_s} s");
+        }
+    }
+}
+
+#[test]
 fn the_pivot_point_stays_at_the_same_pixel() {
     let rig = Rig { height_m: 0.8, roll_rad: 0.03, pitch_rad: -0.06, yaw_rad: 0.5, lever_arm: None };
     let corner = Ray::new(-0.62, -0.47);

@@ -197,20 +197,23 @@ pub fn whitened(correspondences: &[Correspondence], shared_px2: f64) -> Option<(
     }
     let middle = variances.len() / 2;
     let median_px2 = *variances.select_nth_unstable_by(middle, f64::total_cmp).1;
-    let observation = |seen: &Correspondence| {
-        let information = covariance(seen).try_inverse().map(|inverse| median_px2 * inverse);
-        let root = information.and_then(|information| information.cholesky());
-        let whitening = root.map_or(Matrix2::identity(), |root| root.l().transpose());
-        Observation {
-            ground: seen.ground,
-            elevation: seen.elevation,
-            pixel: seen.pixel,
-            whitening,
-            row_fraction: seen.row_fraction,
-            keyframe_row_fraction: seen.keyframe_row_fraction,
-        }
+    let observation = |seen: &Correspondence| Observation {
+        ground: seen.ground,
+        elevation: seen.elevation,
+        pixel: seen.pixel,
+        whitening: whitening(&covariance(seen), median_px2),
+        row_fraction: seen.row_fraction,
+        keyframe_row_fraction: seen.keyframe_row_fraction,
     };
     Some((correspondences.iter().map(observation).collect(), median_px2.sqrt()))
+}
+
+/// Whitening matrix of a pixel with this covariance, relative to one with the variance `unit_px2` in
+/// each coordinate.
+pub fn whitening(covariance_px2: &Matrix2<f64>, unit_px2: f64) -> Matrix2<f64> {
+    let information = covariance_px2.try_inverse().map(|inverse| unit_px2 * inverse);
+    let root = information.and_then(|information| information.cholesky());
+    root.map_or(Matrix2::identity(), |root| root.l().transpose())
 }
 
 /// An estimated pose.

@@ -45,7 +45,7 @@ use keyframe::{Keyframe, KeyframeMemory, KeyframeUpdate};
 pub use keyframe_event::{FrameReference, KeyframeEvent, NewKeyframe};
 use last_pose::LastPose;
 use learned::Learned;
-use nalgebra::{Matrix6, Matrix6x2};
+use nalgebra::{Matrix2, Matrix6, Matrix6x2};
 use pattern_noise::PatternNoise;
 use recovery::Recovery;
 use standing::Standing;
@@ -60,6 +60,15 @@ pub struct TrackView {
     pub corner: Pixel,
     /// Whether it agrees with the movement.
     pub inlier: bool,
+    /// Covariance of `pixel` by the noise of the images, pixels².
+    pub covariance_px2: Matrix2<f64>,
+}
+
+impl TrackView {
+    /// A corner at `pixel` whose position is exact.
+    pub fn exact(pixel: Pixel) -> Self {
+        Self { pixel, corner: pixel, inlier: true, covariance_px2: Matrix2::zeros() }
+    }
 }
 
 /// The pipeline: gray images in, poses out.
@@ -398,7 +407,12 @@ impl Odometry {
         let corners = self.keyframe.as_ref().map_or(&[][..], |keyframe| &keyframe.corners);
         let view = |(found, &inlier): (&FoundCorner, &bool)| {
             let corner = corners.get(found.corner)?.template.centre();
-            Some(TrackView { pixel: found.warp.position, corner, inlier })
+            Some(TrackView {
+                pixel: found.warp.position,
+                corner,
+                inlier,
+                covariance_px2: found.covariance_px2,
+            })
         };
         self.tracks.clear();
         self.tracks.extend(found.iter().zip(&estimate.inliers).filter_map(view));
@@ -512,12 +526,8 @@ impl Odometry {
         self.number(&mut keyframe, (self.frames, time_s), None);
         self.reference = keyframe.id.map(|keyframe| FrameReference { keyframe, next: None });
         let corners = keyframe.corners.len();
-        self.tracks = keyframe
-            .corners
-            .iter()
-            .map(|corner| corner.template.centre())
-            .map(|corner| TrackView { pixel: corner, corner, inlier: true })
-            .collect();
+        self.tracks =
+            keyframe.corners.iter().map(|corner| TrackView::exact(corner.template.centre())).collect();
         self.keyframe = Some(keyframe);
         self.last = Some(LastPose::still(time_s, pose, covariance));
         FrameEstimate {

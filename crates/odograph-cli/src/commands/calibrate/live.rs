@@ -10,7 +10,6 @@ use crate::commands::live::{Offer, Serving};
 use crate::report::calibration::pixels_text;
 use crate::{Outcome, interrupt};
 use odograph::error::{Error, Result};
-use odograph::geometry::Pixel;
 use odograph::image::GrayImage;
 use odograph::mosaic::Mosaic;
 use odograph::numerics::median;
@@ -275,8 +274,7 @@ impl Showing<'_> {
 
 /// The board's points, to be drawn.
 fn corners(view: &BoardView) -> Vec<TrackView> {
-    let shown = |pixel: Pixel| TrackView { pixel, corner: pixel, inlier: true };
-    view.points.iter().map(|point| shown(point.pixel)).collect()
+    view.points.iter().map(|point| TrackView::exact(point.pixel)).collect()
 }
 
 fn send_result(hub: &Hub, calibrated: &CalibrationResult) {

@@ -36,8 +36,9 @@ use crate::camera::{Camera, CameraUncertainty, Rig};
 use crate::error::{Error, Result};
 use crate::geometry::{GroundPose, Pixel};
 use crate::keyframe::KeyframeId;
-use crate::motion::PoseRates;
-use crate::numerics::{Combined, combine};
+use crate::motion::{PoseRates, whitening};
+use crate::numerics::{Combined, combine, median};
+use crate::odometry::tracking::SHARED_PX2;
 use crate::odometry::{Odometry, TrackView};
 use crate::trajectory::FrameEstimate;
 use nalgebra::Matrix2;
@@ -89,12 +90,47 @@ pub(in crate::mounting) struct Group {
     pairs: Vec<ViewPair>,
 }
 
-/// Tracks from a keyframe to a later frame: their pixels in both, and whether they were inliers.
+/// A keyframe and a later frame.
 #[derive(Debug, Clone)]
 struct ViewPair {
-    tracks: Vec<(Pixel, Pixel, bool)>,
+    tracks: Vec<PairedTrack>,
     /// Rates of both views, where known.
     exposure: Option<PairExposure>,
+}
+
+/// A track from a keyframe to a later frame.
+#[derive(Debug, Clone, Copy)]
+struct PairedTrack {
+    /// Its pixels in both.
+    first: Pixel,
+    second: Pixel,
+    /// Whether the odometry took it for an inlier.
+    agrees: bool,
+    /// Whitening matrix of its error, relative to a median track: a track on a straight edge counts
+    /// across the edge only.
+    whitening: Matrix2<f64>,
+}
+
+impl PairedTrack {
+    /// Of tracks from a keyframe to one frame.
+    fn of(tracks: &[&TrackView]) -> Vec<Self> {
+        let covariance = |track: &TrackView| track.covariance_px2 + SHARED_PX2 * Matrix2::identity();
+        let mut variances: Vec<f64> = tracks.iter().map(|track| 0.5 * covariance(track).trace()).collect();
+        let Some(median_px2) = median(&mut variances) else { return Vec::new() };
+        let paired = |track: &&TrackView| Self {
+            first: track.corner,
+            second: track.pixel,
+            agrees: track.inlier,
+            whitening: whitening(&covariance(track), median_px2),
+        };
+        tracks.iter().map(paired).collect()
+    }
+
+    /// The number of coordinates that count: one on a straight edge, two at a corner.
+    fn coordinates(&self) -> f64 {
+        let information = self.whitening.transpose() * self.whitening;
+        information.trace() / information.symmetric_eigenvalues().max()
+    }
 }
 
 /// Rates of the pose in both views of a pair, in the axes of the first view and in units of its
@@ -270,8 +306,7 @@ impl DrivenTilt {
         let far = far || (frame.keyframe && moved_px >= least_px);
         if far && self.pairs < self.config.max_pairs {
             let every = tracks.len().div_ceil(self.config.max_tracks.max(1));
-            let kept = tracks.iter().step_by(every);
-            let tracks = kept.map(|track| (track.corner, track.pixel, track.inlier)).collect();
+            let tracks = PairedTrack::of(&tracks.iter().step_by(every).collect::<Vec<_>>());
             let index = self.groups.len() - 1;
             if let Some(group) = self.groups.last_mut() {
                 let pair = (index, group.pairs.len());

@@ -150,7 +150,7 @@ impl CalibrationMonitor {
     pub(super) fn collect(&mut self, frame: &FrameEstimate, odometry: &Odometry) {
         if self.next_check <= LAST_CHECK {
             self.driven.watch(frame, odometry);
-            self.deviates |= odometry.readout().is_some_and(seems_rolling);
+            self.deviates |= !self.readout_is_given && odometry.readout().is_some_and(seems_rolling);
             self.deviates |= frame.estimate.as_ref().is_some_and(|known| self.differs(&known.pose));
         }
     }

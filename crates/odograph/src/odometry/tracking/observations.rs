@@ -42,4 +42,4 @@ pub(super) fn observations(
 
 /// Lower bound of a track's variance, pixels²: 0.02 px of interpolation and warp error. Where all
 /// tracks are good, all have equal weight.
-const SHARED_PX2: f64 = 4e-4;
+pub const SHARED_PX2: f64 = 4e-4;

@@ -190,7 +190,7 @@ impl<'a, const N: usize> PairBundle<'a, N> {
             // The equations are about the tilt of the keyframe, which differs from that of the
             // mount.
             parts[pair.group] += reduced.about(&-self.keyframe_tilts[pair.group]);
-            squares += 2.0 * weight * pair.variance_px2;
+            squares += pair.coordinates() * pair.variance_px2;
             kept += weight;
             pairs += 1;
         }

@@ -5,7 +5,7 @@ use super::{MIN_INLIERS, ROBUST_ITERATIONS};
 use crate::camera::Camera;
 use crate::camera::PosedCamera;
 use crate::geometry::{GroundPoint, GroundPose, Ray};
-use crate::mounting::driving::ViewPair;
+use crate::mounting::driving::{PairedTrack, ViewPair};
 use nalgebra::{Vector2, Vector6};
 
 /// Motion of the camera between two views: x, y (heights), turn (radians), change of height
@@ -117,8 +117,8 @@ impl<'a> SolvedPair<'a> {
         let agreeing: Vec<(GroundPoint, GroundPoint)> = pair
             .tracks
             .iter()
-            .filter(|(_, _, agrees)| *agrees)
-            .filter_map(|(first, second, _)| Some((on_ground(*first)?, on_ground(*second)?)))
+            .filter(|track| track.agrees)
+            .filter_map(|track| Some((on_ground(track.first)?, on_ground(track.second)?)))
             .collect();
         if (agreeing.len() as f64) < MIN_INLIERS {
             return None;
@@ -159,7 +159,7 @@ impl SolvedPair<'_> {
             let ray = lens.camera().ray_from_pixel(pixel)?;
             Some(CornerRay { ray, by_lens: lens.ray_by_lens(ray)? })
         };
-        self.corners = self.pair.tracks.iter().map(|(pixel, _, _)| corner(*pixel)).collect();
+        self.corners = self.pair.tracks.iter().map(|track| corner(track.first)).collect();
     }
 
     /// The pose of the second view.
@@ -188,6 +188,12 @@ impl SolvedPair<'_> {
         Views { camera, poses, rates, accelerations, readout_s, rows: camera.height() as f64, global }
     }
 
+    /// The number of coordinates that count.
+    pub fn coordinates(&self) -> f64 {
+        let tracks = self.pair.tracks.iter().zip(&self.weights);
+        tracks.filter(|(_, weight)| **weight > 0.0).map(|(track, weight)| weight * track.coordinates()).sum()
+    }
+
     /// Updates the robust weights and the noise from the present residuals.
     pub fn reweight(&mut self, camera: &Camera, readout_s: f64, rig: &GroundPose, iteration: usize) {
         let views = self.views(camera, readout_s, rig);
@@ -196,19 +202,22 @@ impl SolvedPair<'_> {
             .tracks
             .iter()
             .zip(&self.corners)
-            .map(|((corner_at, seen, _), corner)| {
+            .map(|(track, corner)| {
+                let PairedTrack { first, second, whitening, .. } = track;
                 let ray = corner.as_ref().map(|corner| corner.ray);
-                ray.and_then(|ray| views.first_pose(corner_at.y).ground_from_ray(ray))
-                    .and_then(|ground| views.second_pose(seen.y).ray_from_ground(ground))
+                ray.and_then(|ray| views.first_pose(first.y).ground_from_ray(ray))
+                    .and_then(|ground| views.second_pose(second.y).ray_from_ground(ground))
                     .and_then(|ray| camera.pixel_from_ray(ray))
-                    .map_or(f64::INFINITY, |pixel| pixel.distance(*seen))
+                    .map_or(f64::INFINITY, |pixel| {
+                        (whitening * Vector2::new(second.x - pixel.x, second.y - pixel.y)).norm()
+                    })
             })
             .collect();
         if iteration > ROBUST_ITERATIONS {
             let squares: f64 =
                 errors.iter().zip(&self.weights).filter(|(_, w)| **w > 0.0).map(|(e, _)| e * e).sum();
-            let kept: f64 = self.weights.iter().sum();
-            self.variance_px2 = (squares / (2.0 * kept - 3.0).max(1.0)).max(MIN_NOISE_PX * MIN_NOISE_PX);
+            self.variance_px2 =
+                (squares / (self.coordinates() - 3.0).max(1.0)).max(MIN_NOISE_PX * MIN_NOISE_PX);
             return;
         }
         let mut sorted = errors.clone();

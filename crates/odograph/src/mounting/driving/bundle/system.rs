@@ -4,6 +4,7 @@ use super::lens::LensUnknowns;
 use super::pair::{Movement, SolvedPair};
 use super::{LENS_START, READOUT, TILT};
 use crate::geometry::GroundPose;
+use crate::mounting::driving::PairedTrack;
 use crate::numerics::{Part, inverse};
 use nalgebra::{Matrix6, SMatrix, SVector, Vector2};
 
@@ -34,15 +35,16 @@ impl<const N: usize> System<N> {
             movement_slope: Movement::zeros(),
         };
         let tracks = solved.pair.tracks.iter().zip(&solved.corners).zip(&solved.weights);
-        for (((corner_at, seen_at, _), corner), &weight) in tracks {
+        for ((track, corner), &weight) in tracks {
+            let PairedTrack { first: corner_at, second: seen_at, whitening, .. } = track;
             let Some(corner) = corner.as_ref().filter(|_| weight > 0.0) else { continue };
             let (first, second) = (views.first(corner_at.y), views.second(seen_at.y));
             let Some(met) = first.ground(corner.ray) else { continue };
             let Some(seen) = second.see(met.point) else { continue };
             let Some(pixel_by_lens) = lens.pixel_by_lens(seen.ray) else { continue };
             let weight = weight / solved.variance_px2;
-            let error = Vector2::new(seen_at.x - seen.pixel.x, seen_at.y - seen.pixel.y);
-            let by_movement = seen.by_pose;
+            let error = whitening * Vector2::new(seen_at.x - seen.pixel.x, seen_at.y - seen.pixel.y);
+            let by_movement = whitening * seen.by_pose;
             let by_tilt =
                 seen.by_pose.fixed_columns::<TILT>(4) + seen.by_ground * met.by_pose.fixed_columns::<TILT>(4);
             let mut by_common = SMatrix::<f64, 2, N>::zeros();
@@ -57,6 +59,7 @@ impl<const N: usize> System<N> {
                 let by_lens = pixel_by_lens[k - LENS_START] + seen.by_ground * (met.by_ray * ray_by_lens);
                 by_common.set_column(k, &by_lens);
             }
+            let by_common = whitening * by_common;
             system.common += weight * by_common.transpose() * by_common;
             system.cross += weight * by_common.transpose() * by_movement;
             system.movement += weight * by_movement.transpose() * by_movement;
