@@ -3,7 +3,7 @@
 use odograph::camera::{Camera, Rig};
 use odograph::fixed_pattern::NonuniformityCorrection;
 use odograph::image::GrayImage;
-use odograph::mounting::{CalibrationUpdate, LensMeasurement, TiltMeasurement};
+use odograph::mounting::{CalibrationUpdate, KNOWN_READOUT_S, LensMeasurement, TiltMeasurement};
 use odograph::odometry::Odometry;
 use serde::Serialize;
 
@@ -192,11 +192,7 @@ pub struct FoundReadout {
     pub given: bool,
 }
 
-/// Largest standard deviation of a known readout time, milliseconds: at 0.5 m/s over a view of 0.5
-/// m it makes distances uncertain by 0.1 %.
-const UNKNOWN_MS: f64 = 1.0;
-
-/// A readout time within this many standard deviations of zero is that of a global shutter.
+/// A readout time within this many standard deviations of zero may be that of a global shutter.
 const GLOBAL_SIGMAS: f64 = 3.0;
 
 impl FoundReadout {
@@ -213,7 +209,7 @@ impl FoundReadout {
 
     /// Whether it is known well enough not to make distances uncertain.
     pub fn is_known(&self) -> bool {
-        self.deviation_ms <= UNKNOWN_MS
+        self.deviation_ms <= 1e3 * KNOWN_READOUT_S
     }
 
     /// A warning for people.
@@ -222,21 +218,24 @@ impl FoundReadout {
         if given || (readout_ms == 0.0 && deviation_ms == 0.0) {
             return None;
         }
-        Some(if self.is_known() && readout_ms.abs() <= GLOBAL_SIGMAS * deviation_ms {
-            format!(
-                "the shutter is global: the readout time was found to be {readout_ms:.2} ± {deviation_ms:.2} ms; --readout-ms 0 or \
-                 readout_time_s in the camera file gives it from the start"
-            )
-        } else if !self.is_known() {
-            format!(
-                "the readout time of the image ({readout_ms:.1} ± {deviation_ms:.1} ms) could not be learned: nothing \
-                 changed speed or turned enough; --readout-ms gives it, and 0 says that the shutter is global"
-            )
-        } else {
-            format!(
+        let may_be_global = readout_ms.abs() <= GLOBAL_SIGMAS * deviation_ms;
+        Some(match (self.is_known(), may_be_global) {
+            (true, true) => format!(
+                "the shutter is global: the readout time was found to be {readout_ms:.2} ± {deviation_ms:.2} ms; --readout-ms 0, or \
+                 readout_time_s in a camera file, gives it from the start"
+            ),
+            (true, false) => format!(
                 "the camera has a rolling shutter: the image is read in {readout_ms:.2} ± {deviation_ms:.2} ms; \
-                 --readout-ms or readout_time_s in the camera file gives it from the start"
-            )
+                 --readout-ms, or readout_time_s in a camera file, gives it from the start"
+            ),
+            (false, true) => format!(
+                "the readout time of the image ({readout_ms:.1} ± {deviation_ms:.1} ms) could not be learned: the drive \
+                 has too few turns and changes of speed, or the ground is uneven; --readout-ms gives it, and 0 says that the shutter is global"
+            ),
+            (false, false) => format!(
+                "the camera has a rolling shutter: the image is read in about {readout_ms:.1} ± {deviation_ms:.1} ms, which \
+                 leaves distances somewhat uncertain; more turns and changes of speed, or --readout-ms, make it certain"
+            ),
         })
     }
 }
@@ -265,6 +264,8 @@ mod tests {
         assert!(sentence(-0.3, 0.27, false).contains("the shutter is global"));
         assert!(sentence(19.8, 0.27, false).contains("rolling shutter: the image is read in 19.80"));
         assert!(sentence(3.0, 4.0, false).contains("could not be learned"));
+        // Estimated, but not to a millisecond.
+        assert!(sentence(19.0, 1.4, false).contains("is read in about 19.0 ± 1.4 ms"));
         assert_eq!(sentence(20.0, 0.0, true), "");
     }
 }
