@@ -115,8 +115,7 @@ fn distant_ground_is_exported_with_bounded_size() {
     }
     assert!(map.render_mosaic(Some(0.01), &mut |_| true).unwrap());
     map.close().unwrap();
-    for (name, most_bytes) in
-        [("floor.ply", 60_000_000), ("floor.tif", 300_000_000), ("floor.yaml", 1 << 28)]
+    for (name, most_bytes) in [("floor.ply", 60_000_000), ("floor.tif", 300_000_000), ("floor.yaml", 1 << 28)]
     {
         let (code, message, complaint) = text(&odograph(&["export", "map.gpkg", "-o", name], folder.path()));
         assert_eq!((code, complaint.as_str()), (0, ""), "{name}");

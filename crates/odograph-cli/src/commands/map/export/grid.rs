@@ -141,8 +141,7 @@ impl Grid {
         let least = (0.5 * (self.cell_m / self.pixel_m).powi(2)).ceil() as u32;
         let mut free = 0;
         let mut write_row = |seen: &[u32]| {
-            let gray: Vec<u8> =
-                seen.iter().map(|&seen| if seen >= least { FREE } else { UNKNOWN }).collect();
+            let gray: Vec<u8> = seen.iter().map(|&seen| if seen >= least { FREE } else { UNKNOWN }).collect();
             free += gray.iter().filter(|gray| **gray == FREE).count() as u64;
             output.write_all(&gray).map_err(not_written)
         };

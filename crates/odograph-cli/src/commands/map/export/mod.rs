@@ -61,7 +61,7 @@ Examples:
   odograph map export map.gpkg -o floor.tif                               # mosaic, in metres
   odograph map export map.gpkg --anchor 48.2082,16.3738,93.5 -o floor.tif # mosaic, UTM
   odograph map export map.gpkg --anchor 0,0=48.2,16.37 --anchor 9,9=48.20008,16.37012 -o path.kml
-  odograph map export map.gpkg -o grid.yaml                               # Nav2: grid.yaml, grid.pgm
+  odograph map export map.gpkg -o grid.yaml                               # Nav2, with grid.pgm
   odograph map export map.gpkg -o colmap/                                 # cameras, points";
 
 /// The formats of a picture.
@@ -187,7 +187,9 @@ fn check_cell(cell_m: Option<f64>, form: Form) -> Result<()> {
 /// Refuses a file without an ending, which would say that a folder is meant.
 fn check_colmap_folder(output: &Path) -> Result<()> {
     files::check_output_folder(output).map_err(|error| {
-        Error::usage(format!("{error} for COLMAP; or end the name in .tif, .png, .ply, .yaml, .tum, .csv or .kml"))
+        Error::usage(format!(
+            "{error} for COLMAP; or end the name in .tif, .png, .ply, .yaml, .tum, .csv or .kml"
+        ))
     })
 }
 
