@@ -137,7 +137,7 @@ pub fn track(
     // An interrupt after the last frame changes no result.
     let interrupted = observer.is_stop_asked() && announced != Some(tracking.frames.count() as u64);
     Ok(PassEnd::Finished(Tracked {
-        readout: FoundReadout::of(&plan.camera, &tracking.odometry),
+        readout: FoundReadout::of(plan, &tracking.odometry),
         interlaced: tracking.odometry.is_interlaced(),
         marks: Vec::new(),
         keyframes: tracking.odometry.keyframes(),

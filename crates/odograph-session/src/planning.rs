@@ -84,7 +84,7 @@ impl RunBuilder {
             let what_to_do = if (size.1, size.0) == (width, height) {
                 "it is turned by 90°: hold the camera as it was held there"
             } else if size.0 * height == size.1 * width {
-                "if it is of that camera, scale it to that size"
+                "if it shows what that camera shows, scale it to that size"
             } else {
                 "only pictures of that camera can be found in it"
             };

@@ -304,11 +304,13 @@ fn described(info: &MapInfo, checked: bool) -> String {
     for session in &info.sessions {
         let _ = writeln!(
             text,
-            "session {}  {}: {} keyframes, {} frames, {:.2} m",
+            "session {}  {}: {} keyframe{}, {} frame{}, {:.2} m",
             session.id,
             console::name(&session.source),
             session.keyframes,
+            if session.keyframes == 1 { "" } else { "s" },
             session.frames,
+            if session.frames == 1 { "" } else { "s" },
             session.path_m
         );
         if let Some(origin) = &session.origin {

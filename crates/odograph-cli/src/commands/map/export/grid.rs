@@ -44,8 +44,9 @@ pub fn write(file: &MapFile, layer: &MosaicLayer, yaml: &Path, cell_m: Option<f6
     })?;
     files::write(yaml, grid.description(&picture).as_bytes())?;
     let Grid { columns, rows, cell_m, .. } = grid;
+    let finer = if free == 0 { " (no cell is half seen: give a finer --resolution)" } else { "" };
     Ok(format!(
-        "{}x{} cells of {cell_m} m, {:.2} m² of them free, the rest unknown",
+        "{}x{} cells of {cell_m} m, {:.2} m² of them free, the rest unknown{finer}",
         columns.end - columns.start,
         rows.end - rows.start,
         free as f64 * cell_m * cell_m
