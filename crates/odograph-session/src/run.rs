@@ -197,6 +197,6 @@ fn track(
 fn why_again(camera: &MultiPassCalibration) -> String {
     match camera.tried_readout_s() {
         Some(readout_s) => format!("trying a readout time of {:.1} ms", 1e3 * readout_s),
-        None => "again, with what was found about the camera".to_owned(),
+        None => "again, with the camera as found".to_owned(),
     }
 }

@@ -247,6 +247,11 @@ fn deviation(value: f64, decimals: usize) -> String {
     texts.find(|text| !is_zero(text)).unwrap_or_else(|| format!("{value:.decimals$}"))
 }
 
+/// Decimals of a position with this standard deviation, metres.
+fn decimals(deviation_m: f64) -> usize {
+    if deviation_m < 5e-5 { 6 } else { 4 }
+}
+
 fn sentence(place: &PoseInMap, source: Option<String>, frames: u64) -> String {
     let at = match frames {
         1 => String::new(),
@@ -256,9 +261,9 @@ fn sentence(place: &PoseInMap, source: Option<String>, frames: u64) -> String {
     format!(
         "{at}x {} m ± {} mm, y {} m ± {} mm, heading {}° ± {}° (one standard deviation)\n\
          nearest: keyframe {}, {:.3} m away, of session {}{source}\n",
-        rounded(place.x_m, 4),
+        rounded(place.x_m, decimals(place.sd_x_m)),
         deviation(1e3 * place.sd_x_m, 1),
-        rounded(place.y_m, 4),
+        rounded(place.y_m, decimals(place.sd_y_m)),
         deviation(1e3 * place.sd_y_m, 1),
         rounded(place.heading_deg, 2),
         deviation(place.sd_heading_deg, 2),

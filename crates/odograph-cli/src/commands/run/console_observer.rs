@@ -180,8 +180,8 @@ impl Observer for ConsoleObserver {
             let mut bar = self.bar();
             // The bar of the pass before would stay on the screen.
             bar.finish_and_clear();
-            *bar = progress(frames);
-            bar.set_message(self.again.lock().unwrap_or_else(PoisonError::into_inner).clone());
+            let again = std::mem::take(&mut *self.again.lock().unwrap_or_else(PoisonError::into_inner));
+            *bar = progress(frames, &again);
         }
         if self.level > Level::Nothing {
             self.log("tracking begins");
@@ -253,16 +253,17 @@ fn camera_line(camera: &Camera) -> String {
     )
 }
 
-/// A bar if the number of frames is known, otherwise a count; nothing if standard error is not a
-/// terminal.
-fn progress(frames: Option<u64>) -> ProgressBar {
+/// A bar if the number of frames is known, otherwise a count, and why the recording is tracked
+/// again; nothing if standard error is not a terminal. A line of a terminal holds it.
+fn progress(frames: Option<u64>, again: &str) -> ProgressBar {
     let bar = frames.map_or_else(ProgressBar::new_spinner, ProgressBar::new);
-    let template = match frames {
-        Some(_) => "{bar:40} {pos}/{len} frames, {per_sec}, {eta} left{msg}",
-        None => "{spinner} {pos} frames, {per_sec}{msg}",
+    let template = match (frames, again.is_empty()) {
+        (Some(_), true) => "{bar:40} {pos}/{len} frames, {per_sec}, {eta} left",
+        (Some(_), false) => "{bar:20} {pos}/{len}, {eta} left{msg}",
+        (None, _) => "{spinner} {pos} frames, {per_sec}{msg}",
     };
     if let Ok(style) = ProgressStyle::with_template(template) {
         bar.set_style(style);
     }
-    bar
+    bar.with_message(again.to_owned())
 }

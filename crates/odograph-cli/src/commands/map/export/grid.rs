@@ -43,13 +43,13 @@ pub fn write(file: &MapFile, layer: &MosaicLayer, yaml: &Path, cell_m: Option<f6
         Ok(())
     })?;
     files::write(yaml, grid.description(&picture).as_bytes())?;
-    let Grid { columns, rows, cell_m, .. } = grid;
-    let finer = if free == 0 { " (no cell is half seen: give a finer --resolution)" } else { "" };
+    let Grid { columns, rows, cell_m, .. } = &grid;
+    let finer = if free == 0 { "; no cell is half seen: give a finer --resolution" } else { "" };
     Ok(format!(
-        "{}x{} cells of {cell_m} m, {:.2} m² of them free, the rest unknown{finer}",
+        "{}x{} cells of {cell_m} m: {free} free, {} unknown, none occupied{finer}",
         columns.end - columns.start,
         rows.end - rows.start,
-        free as f64 * cell_m * cell_m
+        grid.cells() as u64 - free,
     ))
 }
 
