@@ -177,7 +177,8 @@ fn an_image_is_localised_without_changing_the_map() {
     let (status, refused) =
         odograph("localize other/frames --fps 20 --max-frames 4 --map copy.gpkg --extend", folder.path());
     assert!(status == 4 && refused.contains("resembles nothing in copy.gpkg"), "{refused}");
-    // The map has nothing of it either. One sighting of mapped ground is found, and extends nothing.
+    // The map has nothing of it either. One sighting of mapped ground is found, and extends
+    // nothing.
     let (status, warned) =
         odograph("localize sim/frames --fps 20 --max-frames 3 --map copy.gpkg --extend", folder.path());
     assert!(status == 0 && warned.contains("copy.gpkg was not extended: that needs two"), "{warned}");
