@@ -45,8 +45,8 @@ pub struct ExportArguments {
     #[arg(long, value_name = "N", default_value_t = 2_000_000,
           value_parser = clap::builder::RangedU64ValueParser::<usize>::new().range(1..))]
     max_points: usize,
-    /// Side of a cell of a .yaml, as 0.05 (metres) or 5cm. [default: 5 cm, larger where the mosaic is
-    /// coarse]
+    /// Side of a cell of a .yaml, as 0.05 (metres) or 5cm. [default: 5 cm, more where the mosaic
+    /// is coarse]
     #[arg(long, value_name = "LENGTH", value_parser = lengths::metres, allow_negative_numbers = true)]
     resolution: Option<f64>,
     /// Overwrite existing results.
