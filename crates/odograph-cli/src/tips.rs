@@ -75,12 +75,17 @@ fn asked<'a>(command: &'a clap::Command, arguments: &[OsString]) -> (Vec<&'a str
 /// The first example in the help of a command that has what is missing: `--map <FILE>`, `<SOURCE>`.
 fn example(command: &clap::Command, names: &[&str], missing: &[String]) -> Option<String> {
     let help = command.get_after_help()?.to_string();
-    let options: Vec<&str> = missing
-        .iter()
-        .filter_map(|argument| argument.split(' ').next().filter(|name| name.starts_with("--")))
-        .collect();
+    let options: Vec<&str> =
+        missing.iter().filter_map(|argument| argument.split(' ').next()?.strip_prefix("--")).collect();
     let begins = format!("odograph {} ", names.join(" "));
-    let has_all = |line: &str| options.iter().all(|option| line.contains(option));
+    let short = |long: &str| {
+        let option = command.get_opts().find(|option| option.get_long() == Some(long))?;
+        Some(format!(" -{} ", option.get_short()?))
+    };
+    let has = |line: &str, long: &str| {
+        line.contains(&format!("--{long}")) || short(long).is_some_and(|short| line.contains(&short))
+    };
+    let has_all = |line: &str| options.iter().all(|option| has(line, option));
     let lines = help.split_once("Examples:")?.1.lines();
     let line = lines.map(str::trim_start).find(|line| line.starts_with(&begins) && has_all(line))?;
     Some(line.split(" #").next().unwrap_or(line).trim().to_owned())
@@ -98,6 +103,8 @@ mod tests {
             ("odograph localize a.jpg", "for example odograph localize photo.jpg --map hall.gpkg\n"),
             ("odograph run a --control b", "--markers apriltag:36h11:80mm --control hall.csv -o drive/\n"),
             ("odograph live", "for example odograph live "),
+            ("odograph map info", "for example odograph map info drive/map.gpkg\n"),
+            ("odograph map export a.gpkg", "for example odograph map export map.gpkg -o floor.tif\n"),
             ("odograph Cargo.toml", "it is a file or folder; write odograph run Cargo.toml\n"),
             ("odograph map Cargo.toml", "it is a file or folder; write odograph map info Cargo.toml\n"),
             ("odograph camera Cargo.toml", "write odograph camera show Cargo.toml\n"),

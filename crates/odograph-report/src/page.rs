@@ -153,9 +153,14 @@ fn end_cards(distance_m: f64, last: &PlaceSummary, away_m: f64, page: &mut Strin
     );
 }
 
-/// A standard deviation in the unit of the figures beside it: never smaller than a millimetre.
+/// A standard deviation in the unit of the figures beside it: in micrometres only where a hundredth
+/// of a millimetre would show as zero.
 fn uncertainty_text(deviation_m: f64) -> String {
-    if deviation_m < 1e-3 { format!("{} mm", number(1e3 * deviation_m, 2)) } else { length_text(deviation_m) }
+    match deviation_m {
+        tiny if tiny > 0.0 && tiny < 1e-5 => format!("{} µm", number(1e6 * tiny, 2)),
+        small if small < 1e-3 => format!("{} mm", number(1e3 * small, 2)),
+        large => length_text(large),
+    }
 }
 
 /// Formats a position as `x, y unit`, to the millimetre or three digits.

@@ -1,9 +1,11 @@
 //! Results of self-calibration that differ from the plan, as sentences and for `stats.json`.
 
+use crate::plan::RunPlan;
 use odograph::camera::{Camera, Rig};
 use odograph::fixed_pattern::NonuniformityCorrection;
 use odograph::image::GrayImage;
-use odograph::mounting::{CalibrationUpdate, LensMeasurement, TiltMeasurement};
+use odograph::motion::MotionModel;
+use odograph::mounting::{CalibrationUpdate, KNOWN_READOUT_S, LensMeasurement, TiltMeasurement};
 use odograph::odometry::Odometry;
 use serde::Serialize;
 
@@ -190,53 +192,61 @@ pub struct FoundReadout {
     pub deviation_ms: f64,
     /// Whether it was given rather than estimated.
     pub given: bool,
+    /// Whether height and tilt were fixed ([`MotionModel::Rigid`]): it is hardly estimated then.
+    #[serde(skip)]
+    pub is_fixed_mount: bool,
 }
 
-/// Largest standard deviation of a known readout time, milliseconds: at 0.5 m/s over a view of 0.5
-/// m it makes distances uncertain by 0.1 %.
-const UNKNOWN_MS: f64 = 1.0;
-
-/// A readout time within this many standard deviations of zero is that of a global shutter.
+/// A readout time within this many standard deviations of zero may be that of a global shutter.
 const GLOBAL_SIGMAS: f64 = 3.0;
 
 impl FoundReadout {
     /// The readout time at the end of a run; `None` where the shutter was taken to be global.
-    pub(crate) fn of(camera: &Camera, odometry: &Odometry) -> Option<Self> {
+    pub(crate) fn of(plan: &RunPlan, odometry: &Odometry) -> Option<Self> {
+        let camera = &plan.camera;
         let readout = odometry.readout().filter(|_| odometry.readout_matters())?;
         Some(Self {
             readout_ms: 1e3 * readout.mean_s,
             deviation_ms: 1e3 * readout.variance_s2.sqrt(),
             // An estimated readout time has a standard deviation.
             given: camera.readout_s().is_some() && camera.readout_deviation_s() == 0.0,
+            is_fixed_mount: plan.odometry.motion.model == MotionModel::Rigid,
         })
     }
 
     /// Whether it is known well enough not to make distances uncertain.
     pub fn is_known(&self) -> bool {
-        self.deviation_ms <= UNKNOWN_MS
+        self.deviation_ms <= 1e3 * KNOWN_READOUT_S
     }
 
     /// A warning for people.
     pub fn sentence(&self) -> Option<String> {
-        let Self { readout_ms, deviation_ms, given } = *self;
+        let Self { readout_ms, deviation_ms, given, is_fixed_mount } = *self;
         if given || (readout_ms == 0.0 && deviation_ms == 0.0) {
             return None;
         }
-        Some(if self.is_known() && readout_ms.abs() <= GLOBAL_SIGMAS * deviation_ms {
-            format!(
-                "the shutter is global: the readout time was found to be {readout_ms:.2} ± {deviation_ms:.2} ms; --readout-ms 0 or \
-                 readout_time_s in the camera file gives it from the start"
-            )
-        } else if !self.is_known() {
-            format!(
-                "the readout time of the image ({readout_ms:.1} ± {deviation_ms:.1} ms) could not be learned: nothing \
-                 changed speed or turned enough; --readout-ms gives it, and 0 says that the shutter is global"
-            )
-        } else {
-            format!(
+        let why_not = match is_fixed_mount {
+            true => "with height and tilt fixed (--motion rigid, --field-of-view)",
+            false => "because the drive has too few turns and changes of speed, or uneven ground",
+        };
+        let may_be_global = readout_ms.abs() <= GLOBAL_SIGMAS * deviation_ms;
+        Some(match (self.is_known(), may_be_global) {
+            (true, true) => format!(
+                "the shutter is global: the readout time was found to be {readout_ms:.2} ± {deviation_ms:.2} ms; --readout-ms 0, or \
+                 readout_time_s in a camera file, gives it from the start"
+            ),
+            (true, false) => format!(
                 "the camera has a rolling shutter: the image is read in {readout_ms:.2} ± {deviation_ms:.2} ms; \
-                 --readout-ms or readout_time_s in the camera file gives it from the start"
-            )
+                 --readout-ms, or readout_time_s in a camera file, gives it from the start"
+            ),
+            (false, true) => format!(
+                "the readout time of the image ({readout_ms:.1} ± {deviation_ms:.1} ms) could not be learned {why_not}; \
+                 --readout-ms gives it, and 0 says that the shutter is global"
+            ),
+            (false, false) => format!(
+                "the camera has a rolling shutter: the image is read in about {readout_ms:.1} ± {deviation_ms:.1} ms, which \
+                 leaves distances somewhat uncertain; more turns and changes of speed, or --readout-ms, make it certain"
+            ),
         })
     }
 }
@@ -259,12 +269,23 @@ mod tests {
     #[test]
     fn a_readout_time_of_nothing_is_a_global_shutter() {
         let sentence = |readout_ms, deviation_ms, given| {
-            FoundReadout { readout_ms, deviation_ms, given }.sentence().unwrap_or_default()
+            FoundReadout { readout_ms, deviation_ms, given, is_fixed_mount: false }
+                .sentence()
+                .unwrap_or_default()
         };
         assert!(sentence(0.0, 0.27, false).contains("the shutter is global"));
         assert!(sentence(-0.3, 0.27, false).contains("the shutter is global"));
         assert!(sentence(19.8, 0.27, false).contains("rolling shutter: the image is read in 19.80"));
         assert!(sentence(3.0, 4.0, false).contains("could not be learned"));
+        // Estimated, but not to a millisecond.
+        assert!(sentence(19.0, 1.4, false).contains("is read in about 19.0 ± 1.4 ms"));
         assert_eq!(sentence(20.0, 0.0, true), "");
+        // An eight that is driven has turns enough.
+        let fixed = FoundReadout { readout_ms: 0.0, deviation_ms: 10.0, given: false, is_fixed_mount: true };
+        assert!(
+            fixed
+                .sentence()
+                .is_some_and(|text| text.contains("could not be learned with height and tilt fixed"))
+        );
     }
 }

@@ -30,7 +30,7 @@
 //! |---|---|
 //! | show progress, or stop a run | an [`Observer`] in place of `()` |
 //! | look at the source before running | [`RunBuilder::open`], then [`Run::follow`] |
-//! | continue a map | [`RunBuilder::map`] with [`MapUse::Continue`] |
+//! | continue a map | [`RunBuilder::map`] with [`MapUse::Continue`], or `Extend` |
 //! | find a picture in a map | [`RunBuilder::localizing`] |
 //! | use markers, or be in their frame | [`RunBuilder::markers`], [`RunBuilder::control`] |
 //! | use a gyroscope, compass, wheel or range finder | [`RunBuilder::sensors`] |

@@ -7,7 +7,7 @@ use crate::kept_frames::KeptFrames;
 use crate::marker_statistics::MarkerStatistics;
 use crate::markers::MarkerWatch;
 use crate::observer::Observer;
-use crate::output::RunOutput;
+use crate::output::{MapUse, RunOutput};
 use crate::plan::RunPlan;
 use crate::statistics::LoopStatistics;
 use crate::timings::{StageTime, Timings};
@@ -37,6 +37,8 @@ pub struct Mapping {
     height_m: f64,
     /// Whether neither loops nor markers are looked for, to keep up with a camera.
     is_suspended: bool,
+    /// Whether the map is to have this run only where it is recognised.
+    only_recognised: bool,
 }
 
 /// Ground sampling distance of the mosaic of a continued map, in ground pixels at the image centre:
@@ -107,8 +109,15 @@ impl Mapping {
         } else {
             Mapper::new(&global, plan.rig, &plan.odometry, plan.slam)
         };
-        let height_m = plan.rig.height_m;
-        Ok(Self { mapper, file, times: Timings::default(), markers, height_m, is_suspended: false })
+        Ok(Self {
+            mapper,
+            file,
+            times: Timings::default(),
+            markers,
+            height_m: plan.rig.height_m,
+            is_suspended: false,
+            only_recognised: matches!(map, MapUse::Extend(_)),
+        })
     }
 
     /// Adds the keyframe events of a frame.
@@ -221,10 +230,16 @@ impl Mapping {
         self.write_path(frames)
     }
 
+    /// Whether the map is to stay as it was.
+    fn is_withdrawn(&self) -> bool {
+        self.only_recognised && !self.mapper.is_recognised()
+    }
+
     /// A warning where the run could not be connected to the map that it continues; a localization
     /// reports this otherwise.
     pub fn warning(&self) -> Option<String> {
-        (self.file.kept.is_none() && !self.mapper.is_recognised()).then(|| {
+        let is_told = !self.only_recognised && self.file.kept.is_none();
+        (is_told && !self.mapper.is_recognised()).then(|| {
             format!(
                 "nothing of {} was recognised: the path is in a frame of its own, which begins at its first frame",
                 self.file.path.display()
@@ -317,7 +332,7 @@ impl Mapping {
         let height_m = median(&mut heights_m).unwrap_or(map.rig.height_m);
         let coarse_m = COARSER * height_m / map.camera.focal_px().0;
         let (short, alone) = (map.keyframes.len() > MAX_OLD * own, map.keyframes.len() == own);
-        let writable = self.file.kept.is_none();
+        let writable = self.file.kept.is_none() && !self.is_withdrawn();
         let Some(file) = self.file.file.as_mut().filter(|_| writable && own > 0) else { return Ok(None) };
         let before = file.mosaic()?;
         if alone && before.is_none() && file.set_mosaic(&mosaic.coarser())? {
@@ -359,13 +374,18 @@ impl Mapping {
 
     /// The map file, if this run has written to it.
     pub fn written(&self) -> Option<&Path> {
-        (self.file.file.is_some() && self.file.kept.is_none()).then_some(self.file.path.as_path())
+        let is_ours = self.file.kept.is_none() && !self.is_withdrawn();
+        (self.file.file.is_some() && is_ours).then_some(self.file.path.as_path())
     }
 
     /// Closes the file. Removes the map of an earlier run that this one replaces if no ground was
-    /// seen.
+    /// seen, and this run from a map in which it was not recognised, where that is asked.
     pub fn close(&mut self) -> Result<()> {
+        let is_withdrawn = self.is_withdrawn();
         match (self.file.file.take(), &self.file.claim) {
+            (Some(mut file), _) if is_withdrawn => {
+                file.remove_session(self.file.session).and_then(|()| file.close())
+            }
             (Some(file), _) => file.close(),
             (None, Some(claim)) if self.file.replaces => claim.remove_map(),
             (None, _) => Ok(()),

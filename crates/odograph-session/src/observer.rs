@@ -8,8 +8,14 @@ use odograph::trajectory::FrameEstimate;
 /// Methods are called from the run's threads and should return soon. An observer does not influence
 /// results, except by a request to stop.
 pub trait Observer: Sync {
+    /// The recording is tracked again from its first frame, because camera or mount turned out to
+    /// be different; `why` is a part of a sentence. [`Observer::tracking_begins`] follows.
+    fn tracking_again(&self, why: &str) {
+        let _ = why;
+    }
+
     /// Tracking begins; `frames` is the number of frames to come, where the source knows it. Called
-    /// again if the recording is tracked anew because camera or mount turned out to be different.
+    /// once more after each [`Observer::tracking_again`].
     fn tracking_begins(&self, frames: Option<u64>) {
         let _ = frames;
     }

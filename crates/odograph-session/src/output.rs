@@ -15,6 +15,9 @@ pub enum MapUse {
     New,
     /// Continues the map in this file, or creates it.
     Continue(PathBuf),
+    /// Continues the map in this file where the run is recognised in it; otherwise the map has
+    /// nothing of the run at its end.
+    Extend(PathBuf),
     /// Localizes in the map in this file, which is not changed.
     LookInto(PathBuf),
 }
@@ -24,7 +27,7 @@ impl MapUse {
     pub fn path(&self) -> Option<&Path> {
         match self {
             Self::New => None,
-            Self::Continue(path) | Self::LookInto(path) => Some(path),
+            Self::Continue(path) | Self::Extend(path) | Self::LookInto(path) => Some(path),
         }
     }
 

@@ -126,18 +126,18 @@ pub fn track(
         1 => one_by_one(&mut decoding, &mut tracking, &mut ground),
         threads => side_by_side(&mut decoding, &mut tracking, &mut ground, threads, queue(&plan.camera)),
     };
-    observer.tracking_ends();
     let to_the_end = outcome.is_ok() && tracking.difference.is_none() && !observer.is_stop_asked();
     let at_end = if to_the_end { tracking.monitor.at_end() } else { None };
     if let Some(difference) = tracking.difference.or(at_end) {
         ground.mapping.discard()?;
         return Ok(PassEnd::Differs(difference));
     }
+    observer.tracking_ends();
     let MappingStage { views, mapping, video, unmapped, times: map_times } = ground;
     // An interrupt after the last frame changes no result.
     let interrupted = observer.is_stop_asked() && announced != Some(tracking.frames.count() as u64);
     Ok(PassEnd::Finished(Tracked {
-        readout: FoundReadout::of(&plan.camera, &tracking.odometry),
+        readout: FoundReadout::of(plan, &tracking.odometry),
         interlaced: tracking.odometry.is_interlaced(),
         marks: Vec::new(),
         keyframes: tracking.odometry.keyframes(),

@@ -121,6 +121,12 @@ impl SourcePlan {
         }
     }
 
+    /// Whether every frame of the source is used.
+    pub fn is_whole(&self) -> bool {
+        let is_cut = self.start_s.is_some() || self.end_s.is_some() || self.max_frames.is_some();
+        !is_cut && self.every <= 1
+    }
+
     /// Opens the source.
     ///
     /// # Errors

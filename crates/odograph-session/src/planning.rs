@@ -80,13 +80,17 @@ impl RunBuilder {
         }
         let path = &self.source.path;
         Err(if matches!(self.camera, Some(CameraChoice::OfMap)) {
+            let (width, height) = (camera.width(), camera.height());
+            let what_to_do = if (size.1, size.0) == (width, height) {
+                "it is turned by 90°: hold the camera as it was held there"
+            } else if size.0 * height == size.1 * width {
+                "if it shows what that camera shows, scale it to that size"
+            } else {
+                "only pictures of that camera can be found in it"
+            };
             Error::input(format!(
-                "the frames of {path} are {}x{} but the map was made with a camera of {}x{}; only pictures of that camera can \
-                 be found in it",
-                size.0,
-                size.1,
-                camera.width(),
-                camera.height()
+                "the frames of {path} are {}x{} but the map was made with a camera of {width}x{height}; {what_to_do}",
+                size.0, size.1
             ))
         } else {
             other_size(path, size, (camera.width(), camera.height()))

@@ -15,6 +15,7 @@ use crate::plan::RunPlan;
 use crate::reference;
 use crate::report::RunReporter;
 use odograph::error::{Error, Result};
+use odograph::self_calibration::MultiPassCalibration;
 use odograph_map::MapFile;
 use odograph_video::{Source, SourceInfo};
 use std::fmt;
@@ -180,6 +181,7 @@ fn track(
         let source = match source.take() {
             Some(source) => source,
             None => {
+                observer.tracking_again(&why_again(camera));
                 folder.begin_again()?;
                 plan.source.open()?
             }
@@ -189,4 +191,12 @@ fn track(
     let found = calibration.found();
     let (mount, lens) = (FoundMount::of(&given_rig, found), FoundLens::of(&given_camera, found));
     Ok(Tracked { mount, lens, ..tracked })
+}
+
+/// Why a recording is tracked again.
+fn why_again(camera: &MultiPassCalibration) -> String {
+    match camera.tried_readout_s() {
+        Some(readout_s) => format!("trying a readout time of {:.1} ms", 1e3 * readout_s),
+        None => "again, with the camera as found".to_owned(),
+    }
 }

@@ -219,6 +219,11 @@ impl RunStatistics {
 
     /// A summary of a few lines.
     pub fn summary(&self) -> String {
+        // The path of a microscope is no 0.00 m.
+        let distance = match self.distance_m {
+            short if (1e-6..0.1).contains(&short) => length_text(short),
+            distance_m => format!("{distance_m:.2} m"),
+        };
         let lost = match self.losses {
             0 => "never lost".to_owned(),
             1 => "lost once".to_owned(),
@@ -236,9 +241,14 @@ impl RunStatistics {
         let dropped = self.live.as_ref().map_or_else(String::new, LiveStatistics::summary);
         let on_earth = self.gnss.as_ref().map_or_else(String::new, GnssStatistics::summary);
         format!(
-            "{:.2} m in {:.1} s; {} of {} frames with a pose, {lost}; {} keyframes\n\
+            "{distance} in {:.1} s; {} of {} frames with a pose, {lost}; {} keyframe{}\n\
              {:.0} frames/s, decoding and writing included\n{dropped}{loops}{markers}{sensors}{on_earth}{fixed}",
-            self.distance_m, self.duration_s, self.frames_with_pose, self.frames, self.keyframes, self.fps,
+            self.duration_s,
+            self.frames_with_pose,
+            self.frames,
+            self.keyframes,
+            if self.keyframes == 1 { "" } else { "s" },
+            self.fps,
         )
     }
 }

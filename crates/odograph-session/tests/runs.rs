@@ -24,6 +24,10 @@ struct Listening {
 }
 
 impl Observer for Listening {
+    fn tracking_again(&self, why: &str) {
+        self.heard.lock().unwrap().push(why.to_owned());
+    }
+
     fn tracking_begins(&self, frames: Option<u64>) {
         self.heard.lock().unwrap().push(format!("begins {}", frames.is_some()));
     }
@@ -87,6 +91,16 @@ fn a_run_returns_what_it_writes_and_reports_progress() {
     written.sort();
     assert_eq!(there, written);
     assert!(!written.contains(&folder.path().join("report.html")));
+}
+
+#[test]
+fn a_recording_that_is_tracked_again_says_why() {
+    let observer = Listening::default();
+    // The mount is tilted, and its height alone is given.
+    let outcome = clip::run(122).height_m(0.9).run(&observer).unwrap();
+    assert!(outcome.statistics.mount.is_some());
+    let heard = observer.heard.into_inner().unwrap();
+    assert_eq!(heard, ["begins true", "again, with the camera as found", "begins true", "ends"]);
 }
 
 #[test]

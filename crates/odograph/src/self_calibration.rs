@@ -104,6 +104,11 @@ impl MultiPassCalibration {
         }
     }
 
+    /// The readout time that the next pass tries on the beginning of the recording, seconds.
+    pub fn tried_readout_s(&self) -> Option<f64> {
+        self.profile.as_ref().and_then(ReadoutProfile::next_s)
+    }
+
     /// Mount, lens and readout time that the passes have found, if they differ from the given ones.
     pub fn found(&self) -> Option<&CalibrationUpdate> {
         self.found.as_ref().filter(|found| !found.is_nothing())

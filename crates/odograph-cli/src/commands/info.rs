@@ -231,7 +231,11 @@ fn notes(
                 (false, None, None) => "--camera FILE --height LENGTH".to_owned(),
             };
             let file = quoted(Path::new(file));
-            notes.push(format!("odograph run {file} {option}{missing}").trim_end().to_owned());
+            notes.push(if stream.count == 1 && stream.topic.is_none() {
+                format!("odograph localize {file} --map FILE")
+            } else {
+                format!("odograph run {file} {option}{missing}").trim_end().to_owned()
+            });
             match (recorded(stream), stream.topic.is_some()) {
                 (Some(RecordedCamera { topic, rectified, .. }), _) => {
                     let rectified = if *rectified { ", as rectified images" } else { "" };

@@ -34,8 +34,8 @@ pub struct LocalizeArguments {
     pub map: PathBuf,
     /// Extend the map by what the recording shows. Without this it is only read.
     ///
-    /// A map is extended where two sightings of different ground agree. One picture has only one
-    /// place: it is looked up, and the map stays as it is.
+    /// A map is extended where two sightings of different ground agree. Otherwise it stays as it
+    /// is, and the place is looked up as without this option.
     #[arg(help_heading = "Map", long)]
     pub extend: bool,
     /// Only read the map; this is the default.
@@ -95,12 +95,39 @@ pub fn localize(arguments: LocalizeArguments) -> Result<Outcome> {
         max_frames: arguments.max_frames,
         ..SourcePlan::new(&arguments.source)
     };
+    let observer = ConsoleObserver::new(arguments.quiet).with_log(arguments.log);
     let extends = arguments.extend && !is_one_picture(&source)?;
+    let mut report = followed(&arguments, source.clone(), extends, arguments.force, &observer)?;
+    let is_extended = extends && report.place.is_some();
+    let is_interrupted = report.end == RunEnd::Interrupted;
+    if extends && !is_extended && !is_interrupted && Path::new(&source.path).exists() {
+        // One sighting does not extend a map, and is enough for a place.
+        report = followed(&arguments, source, false, true, &observer)?;
+    }
+    print_result(&arguments, &report)?;
+    if arguments.extend && !is_extended && !is_interrupted && !arguments.quiet {
+        tell_not_extended(&arguments.map);
+    }
+    Ok(match (report.place, Outcome::from(report.end)) {
+        (_, Outcome::Interrupted) => Outcome::Interrupted,
+        (Some(_), outcome) => outcome,
+        (None, _) => Outcome::TrackingFailed,
+    })
+}
+
+/// Looks for the recording in the map, and extends the map if `extends`.
+fn followed(
+    arguments: &LocalizeArguments,
+    source: SourcePlan,
+    extends: bool,
+    overwrites: bool,
+    observer: &ConsoleObserver,
+) -> Result<RunOutcome> {
     let run = RunBuilder::localizing(source, &arguments.map)
         .motion(arguments.motion.into())
-        .overwriting(arguments.force)
+        .overwriting(overwrites)
         .reporter(HtmlReporter);
-    let run = if extends { run.map(MapUse::Continue(arguments.map.clone())) } else { run };
+    let run = if extends { run.map(MapUse::Extend(arguments.map.clone())) } else { run };
     // The camera is that of the map; a profile adds the mount.
     let setup = CameraSetup { rig: arguments.rig.clone(), ..CameraSetup::default() };
     let setup = setup.or_of_profile(arguments.chosen.profile.as_deref())?;
@@ -108,20 +135,11 @@ pub fn localize(arguments: LocalizeArguments) -> Result<Outcome> {
     let run = arguments.frame.into_iter().fold(run, |run, frame| run.frame(frame.into()));
     let run = arguments.output.iter().fold(run, RunBuilder::folder);
     let run = arguments.threads.iter().fold(run, |run, threads| run.threads(usize::from(*threads)));
-    let observer = ConsoleObserver::new(arguments.quiet).with_log(arguments.log);
-    let run = run.open(&observer)?;
+    let run = run.open(observer)?;
     observer.log_plan(run.plan(), run.source());
-    let report = run.follow(&observer)?;
+    let report = run.follow(observer)?;
     observer.log_times(&report.statistics);
-    print_result(&arguments, &report)?;
-    if arguments.extend && !arguments.quiet {
-        tell_extension(&arguments, extends, &report);
-    }
-    Ok(match (report.place, Outcome::from(report.end)) {
-        (_, Outcome::Interrupted) => Outcome::Interrupted,
-        (Some(_), outcome) => outcome,
-        (None, _) => Outcome::TrackingFailed,
-    })
+    Ok(report)
 }
 
 /// Whether a source has a single picture. A map is extended where two sightings of different ground
@@ -134,20 +152,13 @@ fn is_one_picture(source: &SourcePlan) -> Result<bool> {
     Ok((path.is_file() || path.is_dir()) && source.open()?.info().frame_count == Some(1))
 }
 
-/// Says why a map that was to be extended was not.
-fn tell_extension(arguments: &LocalizeArguments, extends: bool, report: &RunOutcome) {
-    let map = console::name(&arguments.map);
-    if !extends {
-        console::warn(&format!(
-            "{map} was not extended: that needs two sightings of different ground that agree, and one picture has \
-             only one; extend the map with a recording that drives on"
-        ));
-    } else if report.place.is_none() && report.end != RunEnd::Interrupted {
-        console::note(
-            "a map is extended where two sightings of different ground agree; without --extend one certain sighting \
-             is enough",
-        );
-    }
+/// Says that a map that was to be extended was not, and why.
+fn tell_not_extended(map: &Path) {
+    console::warn(&format!(
+        "{} was not extended: that needs two sightings of different ground that agree; extend it with a recording \
+         that drives on over mapped ground",
+        console::name(map)
+    ));
 }
 
 /// What was found, as JSON.
@@ -229,6 +240,18 @@ fn rounded(number: f64, decimals: usize) -> String {
     }
 }
 
+/// A standard deviation with this many decimals, or as many as show that it is not zero.
+fn deviation(value: f64, decimals: usize) -> String {
+    let is_zero = |text: &str| text.bytes().all(|byte| matches!(byte, b'0' | b'.'));
+    let mut texts = (decimals..decimals + 6).map(|decimals| format!("{value:.decimals$}"));
+    texts.find(|text| !is_zero(text)).unwrap_or_else(|| format!("{value:.decimals$}"))
+}
+
+/// Decimals of a position with this standard deviation, metres.
+fn decimals(deviation_m: f64) -> usize {
+    if deviation_m < 5e-5 { 6 } else { 4 }
+}
+
 fn sentence(place: &PoseInMap, source: Option<String>, frames: u64) -> String {
     let at = match frames {
         1 => String::new(),
@@ -236,16 +259,27 @@ fn sentence(place: &PoseInMap, source: Option<String>, frames: u64) -> String {
     };
     let source = source.map_or(String::new(), |source| format!(" ({})", console::name(source)));
     format!(
-        "{at}x {} m ± {:.1} mm, y {} m ± {:.1} mm, heading {}° ± {:.2}° (one standard deviation)\n\
+        "{at}x {} m ± {} mm, y {} m ± {} mm, heading {}° ± {}° (one standard deviation)\n\
          nearest: keyframe {}, {:.3} m away, of session {}{source}\n",
-        rounded(place.x_m, 4),
-        1e3 * place.sd_x_m,
-        rounded(place.y_m, 4),
-        1e3 * place.sd_y_m,
+        rounded(place.x_m, decimals(place.sd_x_m)),
+        deviation(1e3 * place.sd_x_m, 1),
+        rounded(place.y_m, decimals(place.sd_y_m)),
+        deviation(1e3 * place.sd_y_m, 1),
         rounded(place.heading_deg, 2),
-        place.sd_heading_deg,
+        deviation(place.sd_heading_deg, 2),
         place.keyframe,
         place.keyframe_distance_m,
         place.session,
     )
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_small_deviation_is_not_zero() {
+        let texts = [0.14, 0.04, 0.0032, 0.0].map(|value| deviation(value, 1));
+        assert_eq!(texts, ["0.1", "0.04", "0.003", "0.0"]);
+    }
 }

@@ -20,11 +20,12 @@ use std::path::{Path, PathBuf};
 use std::process::{Child, Command, Output, Stdio};
 
 /// Commands that are not run: how they begin, or a word in them, and why.
-const NOT_RUN: [(&str, &str); 19] = [
+const NOT_RUN: [(&str, &str); 20] = [
     ("cargo ", "builds from source; the tests, the gate and the harness of kills are run by CI"),
     ("bash .ci/run", "is CI itself"),
     ("crates/odograph-ros2/tests/run ", "needs Cyclone DDS; .ci/run does it where asked"),
     ("ros2:/", "needs a robot with ROS 2; crates/odograph-ros2 has its own tests"),
+    ("ros2 run ", "needs an installation of ROS 2"),
     ("pip ", "needs the index of Python's packages"),
     ("maturin ", "needs Python; CI builds the package"),
     ("python", "compares with other programs, which it needs"),
@@ -246,7 +247,7 @@ fn interrupted(mut child: Child) -> Option<i32> {
     child.wait().unwrap().code()
 }
 
-/// Removes what `-o` of a command names, its picture and its report: documents show alternatives
+/// Removes what `-o` of a command names, its pictures and its report: documents show alternatives
 /// that write the same.
 fn remove_output(folder: &Path, command: &str) {
     let mut words = command.split(" #").next().unwrap_or_default().split_whitespace();
@@ -254,9 +255,9 @@ fn remove_output(folder: &Path, command: &str) {
         if word == "-o" || word == "--output" {
             let output = folder.join(words.next().unwrap());
             let stem = output.file_stem().unwrap().display();
-            let (picture, report) =
-                (output.with_extension("png"), output.with_file_name(format!("{stem}-report")));
-            for written in [&output, &picture, &report] {
+            let pictures = ["png", "pgm"].map(|ending| output.with_extension(ending));
+            let report = output.with_file_name(format!("{stem}-report"));
+            for written in [&output, &pictures[0], &pictures[1], &report] {
                 let _ = fs::remove_file(written);
                 let _ = fs::remove_dir_all(written);
             }

@@ -163,7 +163,9 @@ function showFigures() {
   set("x", rounded(track.get(at, "x"), 3));
   set("y", rounded(track.get(at, "y"), 3));
   const sigma = 1000 * Math.sqrt(Math.max(track.get(at, "varX"), track.get(at, "varY")));
-  set("sigma", sigma < 1000 ? sigma.toFixed(1) : (sigma / 1000).toFixed(2));
+  // The first pose of a run is its origin; what is only small is not shown as zero.
+  const small = sigma === 0 ? "0" : sigma.toPrecision(1);
+  set("sigma", sigma < .05 ? small : sigma < 1000 ? sigma.toFixed(1) : (sigma / 1000).toFixed(2));
   $("sigma-unit").textContent = sigma < 1000 ? "mm" : "m";
   $("distance").textContent = distance(at).toFixed(2);
   const clock = t => { const tenths = Math.round(10 * t); return `${Math.floor(tenths / 600)}:${(tenths % 600 / 10).toFixed(1).padStart(4, "0")}`; };

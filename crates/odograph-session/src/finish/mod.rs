@@ -105,8 +105,11 @@ fn enough(plan: &RunPlan, tracked: &mut Tracked, output: &RunOutput) -> Result<(
     let too_few = if tracked.frames.count() == 0 { "no frame" } else { "only one frame" };
     Err(tracked.failure.take().unwrap_or_else(|| {
         Error::input(format!(
-            "{} has {too_few} in the chosen range; a movement needs at least two",
-            plan.source.path
+            "{} has {too_few}{}; a movement needs at least two{}",
+            plan.source.path,
+            if plan.source.is_whole() { "" } else { " in the chosen range" },
+            // What is done with a single picture.
+            if tracked.frames.count() == 1 { " (odograph localize finds one in a map)" } else { "" }
         ))
     }))
 }

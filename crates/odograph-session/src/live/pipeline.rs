@@ -115,7 +115,7 @@ pub fn follow(
     let live = following.statistics(dropped);
     let found = following.calibration.as_ref().and_then(OnlineCalibration::found);
     let mut tracked = Tracked {
-        readout: FoundReadout::of(&plan.camera, &following.odometry),
+        readout: FoundReadout::of(plan, &following.odometry),
         interlaced: following.odometry.is_interlaced(),
         marks: following.recorder.report_marks(),
         keyframes: following.odometry.keyframes(),

@@ -12,6 +12,7 @@ use std::path::{Path, PathBuf};
 
 /// Show what a map holds.
 #[derive(Debug, clap::Args)]
+#[command(after_help = EXAMPLES)]
 pub struct MapInfoArguments {
     /// The map.
     #[arg(value_name = "MAP")]
@@ -23,6 +24,11 @@ pub struct MapInfoArguments {
     #[arg(long)]
     check: bool,
 }
+
+const EXAMPLES: &str = "\
+Examples:
+  odograph map info drive/map.gpkg
+  odograph map info hall.gpkg --check";
 
 /// The facts about a map.
 #[derive(Debug, Serialize)]
@@ -195,7 +201,8 @@ fn markers(landmarks: Vec<MapLandmark>) -> Vec<MarkerInfo> {
 fn length_m(path: &[PathFrame]) -> f64 {
     let step =
         |two: &[PathFrame]| (two[1].pose.x_m - two[0].pose.x_m).hypot(two[1].pose.y_m - two[0].pose.y_m);
-    path.windows(2).filter(|two| two[0].segment == two[1].segment).map(step).sum()
+    // The sum of nothing is -0.
+    path.windows(2).filter(|two| two[0].segment == two[1].segment).map(step).fold(0.0, |sum, step| sum + step)
 }
 
 fn extent_m(map: &GroundMap) -> Option<[f64; 4]> {
@@ -297,11 +304,13 @@ fn described(info: &MapInfo, checked: bool) -> String {
     for session in &info.sessions {
         let _ = writeln!(
             text,
-            "session {}  {}: {} keyframes, {} frames, {:.2} m",
+            "session {}  {}: {} keyframe{}, {} frame{}, {:.2} m",
             session.id,
             console::name(&session.source),
             session.keyframes,
+            if session.keyframes == 1 { "" } else { "s" },
             session.frames,
+            if session.frames == 1 { "" } else { "s" },
             session.path_m
         );
         if let Some(origin) = &session.origin {

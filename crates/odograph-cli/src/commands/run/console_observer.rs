@@ -49,6 +49,8 @@ pub struct ConsoleObserver {
     /// How progress is shown; `None` if it is not.
     progress: Option<Progress>,
     bar: Mutex<ProgressBar>,
+    /// Why the recording is tracked again.
+    again: Mutex<String>,
     counted: Mutex<Counted>,
     level: Level,
     began: Instant,
@@ -71,6 +73,7 @@ impl ConsoleObserver {
             quiet,
             progress: (!quiet).then_some(Progress::Bar),
             bar: Mutex::new(ProgressBar::hidden()),
+            again: Mutex::default(),
             counted: Mutex::default(),
             level: Level::Nothing,
             began: Instant::now(),
@@ -165,9 +168,20 @@ impl ConsoleObserver {
 }
 
 impl Observer for ConsoleObserver {
+    fn tracking_again(&self, why: &str) {
+        if self.level > Level::Nothing {
+            self.log(why);
+        }
+        *self.again.lock().unwrap_or_else(PoisonError::into_inner) = format!(" ({why})");
+    }
+
     fn tracking_begins(&self, frames: Option<u64>) {
         if self.progress == Some(Progress::Bar) {
-            *self.bar() = progress(frames);
+            let mut bar = self.bar();
+            // The bar of the pass before would stay on the screen.
+            bar.finish_and_clear();
+            let again = std::mem::take(&mut *self.again.lock().unwrap_or_else(PoisonError::into_inner));
+            *bar = progress(frames, &again);
         }
         if self.level > Level::Nothing {
             self.log("tracking begins");
@@ -239,16 +253,17 @@ fn camera_line(camera: &Camera) -> String {
     )
 }
 
-/// A bar if the number of frames is known, otherwise a count; nothing if standard error is not a
-/// terminal.
-fn progress(frames: Option<u64>) -> ProgressBar {
+/// A bar if the number of frames is known, otherwise a count, and why the recording is tracked
+/// again; nothing if standard error is not a terminal. A line of a terminal holds it.
+fn progress(frames: Option<u64>, again: &str) -> ProgressBar {
     let bar = frames.map_or_else(ProgressBar::new_spinner, ProgressBar::new);
-    let template = match frames {
-        Some(_) => "{bar:40} {pos}/{len} frames, {per_sec}, {eta} left",
-        None => "{spinner} {pos} frames, {per_sec}",
+    let template = match (frames, again.is_empty()) {
+        (Some(_), true) => "{bar:40} {pos}/{len} frames, {per_sec}, {eta} left",
+        (Some(_), false) => "{bar:20} {pos}/{len}, {eta} left{msg}",
+        (None, _) => "{spinner} {pos} frames, {per_sec}{msg}",
     };
     if let Ok(style) = ProgressStyle::with_template(template) {
         bar.set_style(style);
     }
-    bar
+    bar.with_message(again.to_owned())
 }

@@ -177,6 +177,16 @@ fn an_image_is_localised_without_changing_the_map() {
     let (status, refused) =
         odograph("localize other/frames --fps 20 --max-frames 4 --map copy.gpkg --extend", folder.path());
     assert!(status == 4 && refused.contains("resembles nothing in copy.gpkg"), "{refused}");
+    // The map has nothing of it either. One sighting of mapped ground is found, and extends
+    // nothing.
+    let (status, warned) =
+        odograph("localize sim/frames --fps 20 --max-frames 3 --map copy.gpkg --extend", folder.path());
+    assert!(status == 0 && warned.contains("copy.gpkg was not extended: that needs two"), "{warned}");
+    let copy = MapFile::open_read_only(&folder.path().join("copy.gpkg")).unwrap();
+    let own = MapFile::open_read_only(&folder.path().join("out/map.gpkg")).unwrap();
+    assert_eq!(copy.sessions().unwrap().len(), 1);
+    assert_eq!(copy.map().unwrap(), own.map().unwrap());
+    drop((copy, own));
     // With `--extend` the map grows.
     let grown = localize(&["sim/frames", "--extend", "-o", "grown"]);
     assert_eq!(grown.status.code(), Some(0), "{}", String::from_utf8_lossy(&grown.stderr));

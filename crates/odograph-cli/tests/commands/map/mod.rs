@@ -115,10 +115,12 @@ fn distant_ground_is_exported_with_bounded_size() {
     }
     assert!(map.render_mosaic(Some(0.01), &mut |_| true).unwrap());
     map.close().unwrap();
-    for (name, most_bytes) in [("floor.ply", 60_000_000), ("floor.tif", 300_000_000)] {
+    for (name, most_bytes) in [("floor.ply", 60_000_000), ("floor.tif", 300_000_000), ("floor.yaml", 1 << 28)]
+    {
         let (code, message, complaint) = text(&odograph(&["export", "map.gpkg", "-o", name], folder.path()));
         assert_eq!((code, complaint.as_str()), (0, ""), "{name}");
-        let bytes = fs::metadata(folder.path().join(name)).unwrap().len();
+        let written = folder.path().join(name.replace("yaml", "pgm"));
+        let bytes = fs::metadata(written).unwrap().len();
         assert!(bytes > 1000 && bytes < most_bytes, "{name}: {bytes} bytes, {message}");
         assert_eq!(
             message.contains("too far apart for a picture that fine"),
@@ -149,6 +151,48 @@ fn exported_trajectories_equal_the_stored_one() {
         read("path.csv").lines().nth(3).unwrap().split(',').take(4).collect::<Vec<_>>()[2..],
         ["0.400000", "0.000000"]
     );
+}
+
+#[test]
+fn a_grid_for_nav2_is_free_where_the_mosaic_shows_ground() {
+    let folder = made();
+    let name = "der \"Hof\": ü.yaml";
+    let (code, message, complaints) = text(&odograph(&["export", "map.gpkg", "-o", name], folder.path()));
+    assert_eq!((code, complaints.as_str()), (0, ""));
+    assert!(message.contains("cells of 0.05 m"), "{message}");
+    let description = fs::read_to_string(folder.path().join(name)).unwrap();
+    let value = |key: &str| {
+        let line = description.lines().find_map(|line| line.strip_prefix(key)?.strip_prefix(": "));
+        line.unwrap_or_else(|| panic!("{key} is not in\n{description}")).to_owned()
+    };
+    assert_eq!(value("image"), "\"der \\\"Hof\\\": ü.pgm\"");
+    assert_eq!([value("mode"), value("resolution"), value("negate")], ["trinary", "0.05", "0"]);
+    let origin = value("origin");
+    let origin: Vec<f64> =
+        origin.trim_matches(['[', ']']).split(", ").map(|number| number.parse().unwrap()).collect();
+    let [left_m, bottom_m, yaw_rad] = origin[..] else { panic!("{origin:?}") };
+    assert_eq!(yaw_rad, 0.0);
+    let bytes = fs::read(folder.path().join("der \"Hof\": ü.pgm")).unwrap();
+    let header = String::from_utf8_lossy(&bytes[..16]).into_owned();
+    let numbers: Vec<usize> = header.split_whitespace().filter_map(|number| number.parse().ok()).collect();
+    let (width, height) = (numbers[0], numbers[1]);
+    let grid = &bytes[bytes.len() - width * height..];
+    // As the map server reads it: the last row is that at the origin.
+    let is_free = |x_m: f64, y_m: f64| {
+        let (column, row) = ((x_m - left_m) / 0.05, (y_m - bottom_m) / 0.05);
+        grid[(height - 1 - row as usize) * width + column as usize] == 254
+    };
+    assert!(grid.iter().all(|gray| [205, 254].contains(gray)));
+    assert!((0..12).map(ground::pose).all(|pose| is_free(pose.x_m, pose.y_m)));
+    let map = MapFile::open_read_only(&folder.path().join("map.gpkg")).unwrap();
+    let mosaic = map.mosaic_picture(usize::MAX).unwrap().unwrap();
+    let shown = mosaic.rgba.chunks_exact(4).filter(|pixel| pixel[3] > 0).count() as f64;
+    let shown_m2 = shown * mosaic.placement.metres_per_pixel.powi(2);
+    let free_m2 = 0.05 * 0.05 * grid.iter().filter(|gray| **gray == 254).count() as f64;
+    // Cells that the border of the ground divides count as a whole or not at all.
+    assert!((free_m2 / shown_m2 - 1.0).abs() < 0.03, "{free_m2} m² of {shown_m2} m²");
+    let again = text(&odograph(&["export", "map.gpkg", "-o", name], folder.path()));
+    assert!(again.0 == 2 && again.2.contains("already there"), "{again:?}");
 }
 
 #[test]
@@ -314,6 +358,9 @@ fn invalid_usage_is_refused_in_one_sentence() {
         // Thinning must not remove all of a map, which could not be undone.
         (vec!["thin", "map.gpkg", "--max-keyframes", "0"], 2, "--max-keyframes"),
         (vec!["export", "map.gpkg", "-o", "a.ply", "--max-points", "0"], 2, "--max-points"),
+        (vec!["export", "map.gpkg", "-o", "a.yaml", "--resolution", "0.00101"], 2, "is too fine"),
+        (vec!["export", "map.gpkg", "-o", "a.yaml", "--resolution", "0"], 2, "--resolution is 0.0 m"),
+        (vec!["export", "map.gpkg", "-o", "a.png", "--resolution", "5cm"], 2, "--resolution is for .yaml"),
     ] {
         let (found, message, complaint) = text(&odograph(&arguments, folder.path()));
         assert_eq!((found, message.as_str()), (code, ""), "{arguments:?}: {complaint}");

@@ -30,7 +30,7 @@ pub use lens::{LensCoefficient, LensMeasurement, SelfCalibration};
 pub use monitor::{CalibrationMonitor, CalibrationUpdate};
 pub use online::OnlineCalibration;
 pub use readout::ReadoutMeasurement;
-pub use readout_profile::{ReadoutProfile, ReadoutTrial, UnknownReadout};
+pub use readout_profile::{KNOWN_READOUT_S, ReadoutProfile, ReadoutTrial, UnknownReadout};
 
 use crate::camera::{Camera, CameraUncertainty, Rig};
 use crate::error::{Error, Result};

@@ -25,9 +25,9 @@ pub struct ReadoutProfile {
 /// little to tell readout times apart by.
 const PATH_HEIGHTS: f64 = 12.0;
 
-/// A readout time known to this, seconds, needs no profile: at 0.5 m/s over a view of 0.5 m it
-/// makes distances uncertain by 0.1 %.
-const KNOWN_S: f64 = 1e-3;
+/// Largest standard deviation of a known readout time, seconds: at 0.5 m/s over a view of 0.5 m it
+/// makes distances uncertain by 0.1 %. It needs no profile.
+pub const KNOWN_READOUT_S: f64 = 1e-3;
 
 /// A shutter is taken to roll if that lowers the mean log residual by this. Measured over gravel,
 /// undulations and kerbs (`docs/math/rolling-shutter.md`): 0.12 to 2 with a readout of 20 ms, at
@@ -144,7 +144,7 @@ impl UnknownReadout {
         self.path.add(frame);
         let readout = odometry.readout().filter(|_| odometry.readout_matters());
         self.is_uneven |= odometry.sees_relief();
-        self.is_unknown = readout.is_some_and(|readout| readout.variance_s2 > KNOWN_S * KNOWN_S);
+        self.is_unknown = readout.is_some_and(|readout| readout.variance_s2 > KNOWN_READOUT_S.powi(2));
         if self.path.heights > PATH_HEIGHTS { self.at_end() } else { None }
     }
 

@@ -4,11 +4,12 @@
 mod anchor;
 mod colmap;
 mod geographic;
+mod grid;
 mod picture;
 mod ply;
 mod trajectory;
 
-use crate::{Outcome, console, files, interrupt};
+use crate::{Outcome, console, files, interrupt, lengths};
 use anchor::{AnchorArgument, anchor_of};
 use geographic::GeographicForm;
 use odograph::error::{Error, Result};
@@ -26,8 +27,9 @@ pub struct ExportArguments {
     map: PathBuf,
     /// File or folder to write; its extension is the format.
     ///
-    /// .tif, .png or .ply: the mosaic; .tum, .kitti or .csv: the path; .geojson, .kml or .gpx:
-    /// the path on Earth; a folder: COLMAP's text model with its images.
+    /// .tif, .png or .ply: the mosaic; .yaml: an occupancy grid for Nav2, with its .pgm; .tum,
+    /// .kitti or .csv: the path; .geojson, .kml or .gpx: the path on Earth; a folder: COLMAP's text
+    /// model with its images.
     #[arg(short, long, value_name = "FILE")]
     output: PathBuf,
     /// Where the map is on Earth: "LAT,LON,HEADING", or twice "X,Y=LAT,LON".
@@ -43,6 +45,10 @@ pub struct ExportArguments {
     #[arg(long, value_name = "N", default_value_t = 2_000_000,
           value_parser = clap::builder::RangedU64ValueParser::<usize>::new().range(1..))]
     max_points: usize,
+    /// Side of a cell of a .yaml, as 0.05 (metres) or 5cm. [default: 5 cm, more where the mosaic
+    /// is coarse]
+    #[arg(long, value_name = "LENGTH", value_parser = lengths::metres, allow_negative_numbers = true)]
+    resolution: Option<f64>,
     /// Overwrite existing results.
     #[arg(long)]
     force: bool,
@@ -56,6 +62,7 @@ Examples:
   odograph map export map.gpkg -o floor.tif                               # mosaic, in metres
   odograph map export map.gpkg --anchor 48.2082,16.3738,93.5 -o floor.tif # mosaic, UTM
   odograph map export map.gpkg --anchor 0,0=48.2,16.37 --anchor 9,9=48.20008,16.37012 -o path.kml
+  odograph map export map.gpkg -o grid.yaml                               # Nav2, with grid.pgm
   odograph map export map.gpkg -o colmap/                                 # cameras, points";
 
 /// The formats of a picture.
@@ -83,6 +90,7 @@ impl PictureForm {
 enum Form {
     Picture(PictureForm),
     Ply,
+    Grid,
     Trajectory(TrajectoryForm),
     Geographic(GeographicForm),
     Colmap,
@@ -95,6 +103,7 @@ impl Form {
             Some("tif" | "tiff") => Ok(Self::Picture(PictureForm::GeoTiff)),
             Some("png") => Ok(Self::Picture(PictureForm::Png)),
             Some("ply") => Ok(Self::Ply),
+            Some("yaml" | "yml") => Ok(Self::Grid),
             Some("tum") => Ok(Self::Trajectory(TrajectoryForm::Tum)),
             Some("kitti") => Ok(Self::Trajectory(TrajectoryForm::Kitti)),
             Some("csv") => Ok(Self::Trajectory(TrajectoryForm::Csv)),
@@ -103,8 +112,8 @@ impl Form {
             Some("gpx") => Ok(Self::Geographic(GeographicForm::Gpx)),
             None => Ok(Self::Colmap),
             Some(other) => Err(Error::usage(format!(
-                "{}: a map cannot be written as .{other}; there are .tif, .png, .ply, .tum, .kitti, .csv, .geojson, .kml, .gpx and a \
-                 folder for COLMAP",
+                "{}: a map cannot be written as .{other}; there are .tif, .png, .ply, .yaml (Nav2), .tum, .kitti, .csv, .geojson, \
+                 .kml, .gpx and a folder for COLMAP",
                 path.display()
             ))),
         }
@@ -129,9 +138,14 @@ pub fn export(arguments: &ExportArguments) -> Result<Outcome> {
             "--session is for .tum, .kitti and .csv; the other forms have all sessions of the map",
         ));
     }
+    check_cell(arguments.resolution, form)?;
     let anchor = anchor_of(&arguments.anchor)?;
     match form {
         Form::Colmap => check_colmap_folder(&arguments.output)?,
+        Form::Grid => {
+            files::check_output_file(&arguments.output, arguments.force)?;
+            files::check_output_file(&grid::picture_of(&arguments.output), arguments.force)?;
+        }
         _ => files::check_output_file(&arguments.output, arguments.force)?,
     }
     let output = arguments.output.as_path();
@@ -143,6 +157,7 @@ pub fn export(arguments: &ExportArguments) -> Result<Outcome> {
     let summary = match form {
         Form::Picture(form) => write_picture(&file, output, form, anchor.as_ref())?,
         Form::Ply => ply::write(&file, output, arguments.max_points)?,
+        Form::Grid => grid::write(&file, &mosaic_of(&file)?, output, arguments.resolution)?,
         Form::Trajectory(form) => trajectory::write(&path_asked(&file, arguments.session)?, output, form)?,
         Form::Geographic(form) => {
             let anchor = anchor.ok_or_else(|| without_anchor(output))?;
@@ -156,10 +171,26 @@ pub fn export(arguments: &ExportArguments) -> Result<Outcome> {
     Ok(Outcome::Done)
 }
 
+/// Refuses a side of a cell that no grid can have.
+fn check_cell(cell_m: Option<f64>, form: Form) -> Result<()> {
+    const SIDES_M: std::ops::RangeInclusive<f64> = 1e-3..=100.0;
+    match cell_m {
+        Some(_) if form != Form::Grid => {
+            Err(Error::usage("--resolution is for .yaml; odograph map mosaic --resolution is for pictures"))
+        }
+        Some(cell_m) if !SIDES_M.contains(&cell_m) => Err(Error::usage(format!(
+            "--resolution is {cell_m:?} m; a cell of a grid is between 1 mm and 100 m wide"
+        ))),
+        _ => Ok(()),
+    }
+}
+
 /// Refuses a file without an ending, which would say that a folder is meant.
 fn check_colmap_folder(output: &Path) -> Result<()> {
     files::check_output_folder(output).map_err(|error| {
-        Error::usage(format!("{error} for COLMAP; or end the name in .tif, .png, .ply, .tum, .csv or .kml"))
+        Error::usage(format!(
+            "{error} for COLMAP; or end the name in .tif, .png, .ply, .yaml, .tum, .csv or .kml"
+        ))
     })
 }
 
@@ -177,17 +208,22 @@ pub fn write_picture(
     form: PictureForm,
     anchor: Option<&Anchor>,
 ) -> Result<String> {
-    let layer = file.mosaic()?.ok_or_else(|| {
+    let layer = mosaic_of(file)?;
+    match form {
+        PictureForm::GeoTiff => write_geotiff(file, &layer, path, anchor),
+        PictureForm::Png => picture::write(file, &layer, path),
+    }
+}
+
+/// The mosaic of a map.
+fn mosaic_of(file: &MapFile) -> Result<MosaicLayer> {
+    file.mosaic()?.ok_or_else(|| {
         Error::input(format!(
             "{} has no mosaic yet; odograph map mosaic {} renders it",
             file.path().display(),
             file.path().display()
         ))
-    })?;
-    match form {
-        PictureForm::GeoTiff => write_geotiff(file, &layer, path, anchor),
-        PictureForm::Png => picture::write(file, &layer, path),
-    }
+    })
 }
 
 /// Writes the mosaic as a GeoTIFF and reports what was written.
