@@ -215,7 +215,29 @@ pub fn rows() -> Vec<BenchmarkRow> {
                 },
             )
         },
-        with("rolling-vibration", Effects { vibration: Some(vibration), ..rolling }),
+        with("rolling-vibration", Effects { vibration: Some(vibration), ..rolling.clone() }),
+        BenchmarkRow {
+            path: ahead,
+            ..small(
+                "rolling-gravel",
+                Effects {
+                    terrain: Terrain { relief: Some(relief), ..Terrain::default() },
+                    ..rolling.clone()
+                },
+            )
+        },
+        BenchmarkRow {
+            texture: "tiles",
+            path: ahead,
+            ..small(
+                "rolling-tiles-shadow",
+                Effects {
+                    carrier_shadow: Some(Shadow { darkness: 0.5, ..Shadow::default() }),
+                    noise_gray: 4.0,
+                    ..rolling
+                },
+            )
+        },
         BenchmarkRow {
             texture: "concrete",
             ..with("bumper", Effects { bumper: Some(Bumper { share: 0.15 }), ..noise() })

@@ -221,8 +221,8 @@ impl Path {
         self.length_m
     }
 
-    /// Pose at a time, seconds, of a camera mounted as in `rig`. A path from rest to rest is at rest
-    /// before its start and after its end.
+    /// Pose at a time, seconds, of a camera mounted as in `rig`. A path from rest to rest is at
+    /// rest before its start and after its end.
     ///
     /// The world frame is that of [`odograph::geometry`]: at time 0 the camera is above the origin
     /// and the top of its image points along x.

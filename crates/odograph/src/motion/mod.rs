@@ -208,8 +208,8 @@ pub fn whitened(correspondences: &[Correspondence], shared_px2: f64) -> Option<(
     Some((correspondences.iter().map(observation).collect(), median_px2.sqrt()))
 }
 
-/// Whitening matrix of a pixel with this covariance, relative to one with the variance `unit_px2` in
-/// each coordinate.
+/// Whitening matrix of a pixel with this covariance, relative to one with the variance `unit_px2`
+/// in each coordinate.
 pub fn whitening(covariance_px2: &Matrix2<f64>, unit_px2: f64) -> Matrix2<f64> {
     let information = covariance_px2.try_inverse().map(|inverse| unit_px2 * inverse);
     let root = information.and_then(|information| information.cholesky());
