@@ -10,6 +10,7 @@ mod config;
 mod ambiguity;
 mod exposure;
 mod found_corner;
+mod frame_uncertainty;
 pub(crate) mod tracking;
 pub(crate) mod keyframe;
 mod keyframe_event;
@@ -33,7 +34,6 @@ use crate::camera::{Camera, Rig};
 use crate::error::{Error, Result};
 use crate::filter::ConstantAcceleration;
 use crate::fixed_pattern::{FixedPattern, ImageMask, NonuniformityCorrection, SinceLast};
-use crate::geometry::pose_index::{HEIGHT, PITCH, ROLL};
 use crate::geometry::{GroundPoint, GroundPose, Pixel, propagated};
 use crate::image::{GrayImage, Interlacing, Pyramid, even_field};
 use crate::motion::{MotionEstimate, MotionModel, PoseRates, Readout};
@@ -125,10 +125,6 @@ const LONGEST_READOUT: f64 = 1.05;
 
 /// Frames from one look at the elevation below a keyframe to the next, where the ground is rough.
 const LEVELLED_EVERY: u64 = 4;
-
-/// Independent elevations in the view of a keyframe, as many as gravel and undulating ground were
-/// measured to have.
-const ELEVATIONS_IN_VIEW: f64 = 10.0;
 
 impl Odometry {
     /// A pipeline for one recording. Fails where the rig or a parameter cannot be.
@@ -371,39 +367,54 @@ impl Odometry {
     fn accept(&mut self, pyramid: Pyramid, time_s: f64, measurement: Measurement) -> FrameEstimate {
         let inlier_ratio = self.keyframe.as_ref().map(|k| measurement.inlier_ratio(k, &self.camera));
         let Measurement { mut estimate, found, support, .. } = measurement;
-        let mut learned_keyframe = self.keyframe.as_ref().map(|keyframe| keyframe.improved_by(&estimate));
-        if let Some(KeyframeUpdate { covariance, .. }) =
-            learned_keyframe.as_mut().filter(|_| self.keyframes == 1)
-        {
-            // The first keyframe was taken to stand as the mount was said to.
-            let [of_roll, of_pitch] = self.learned.rig_prior.mount_tilt_variance();
-            covariance[(ROLL, ROLL)] += of_roll;
-            covariance[(PITCH, PITCH)] += of_pitch;
-            // The rig's height is above the mean elevation in view.
-            covariance[(HEIGHT, HEIGHT)] += self.learned.relief_m2() / ELEVATIONS_IN_VIEW;
+        let update = self.keyframe_update(&estimate);
+        self.move_with_keyframe(&mut estimate, &update);
+        let uncertainty = self.uncertainty(&estimate, &update);
+        let stated_covariance = self.stated_covariance(&uncertainty, &estimate.pose);
+        self.show_tracks(&found, &estimate);
+        self.learn(&found, &estimate, &update, inlier_ratio);
+        self.follow(time_s, &estimate, uncertainty.covariance);
+        let improved = self.improve(time_s, &estimate);
+        let measured_against = self.keyframe.as_ref().and_then(|keyframe| keyframe.id);
+        self.reference = measured_against.map(|keyframe| FrameReference { keyframe, next: None });
+        let keyframe = support < self.enough_support() || self.leaves_the_keyframe(&found, time_s);
+        let is_mean = self.config.motion.model == MotionModel::Mean;
+        if is_mean {
+            self.keep_only(&found, uncertainty.covariance); // from here on what was found has other numbers
         }
-        let by_keyframe = estimate.by_keyframe;
-        if let Some(KeyframeUpdate { moved, .. }) = &learned_keyframe {
-            self.keyframe_off = by_keyframe * moved;
-            // Height and tilt of the keyframe are in the fit; where it stood moves the frame with
-            // it.
-            let moved = PoseRates::new(moved[0], moved[1], moved[2], 0.0, 0.0, 0.0);
-            estimate.pose = GroundPose::from_vector(&(estimate.pose.to_vector() + by_keyframe * moved));
+        if keyframe {
+            self.change_keyframe(pyramid, time_s, &estimate, &update, &uncertainty);
+        } else {
+            self.spare = Some(pyramid);
+            // The mean follows its corners from frame to frame, under numbers of their own.
+            if let Some(keyframe) = self.keyframe.as_mut().filter(|_| !is_mean) {
+                keyframe.drop_moving(&found, &estimate);
+            }
         }
-        let of_keyframe = learned_keyframe.as_ref();
-        let from_keyframe = of_keyframe.map(|keyframe| propagated(&by_keyframe, &keyframe.covariance));
-        let model_from_keyframe =
-            of_keyframe.map(|keyframe| propagated(&by_keyframe, &keyframe.model_covariance));
-        let (by_skew, by_readout) = self.shutter_errors(&estimate);
-        let by_mount_tilt = self.by_mount_tilt(&estimate);
-        let covariance = from_keyframe.unwrap_or_default() + estimate.covariance + by_skew;
-        let model_covariance = model_from_keyframe.unwrap_or_default() + estimate.model_covariance;
-        let known_covariance = covariance
-            + model_covariance
-            + self.learned.readout_covariance(&by_readout)
-            + self.learned.mount_covariance(&by_mount_tilt)
-            + self.learned.level_covariance(&estimate.pose);
-        let inliers = estimate.inlier_count();
+        FrameEstimate {
+            frame: self.frames,
+            time_s,
+            status: TrackStatus::Tracked,
+            estimate: Some(PoseEstimate { covariance: stated_covariance, ..improved }),
+            tracks: estimate.inliers.len(),
+            inliers: estimate.inlier_count(),
+            residual_px: estimate.residual_px,
+            keyframe,
+            segment: self.segment,
+        }
+    }
+
+    /// Moves a pose by the estimated error of its keyframe's position and heading; height and tilt
+    /// of the keyframe are in the fit.
+    fn move_with_keyframe(&mut self, estimate: &mut MotionEstimate, update: &KeyframeUpdate) {
+        let KeyframeUpdate { moved, .. } = update;
+        self.keyframe_off = estimate.by_keyframe * moved;
+        let moved = PoseRates::new(moved[0], moved[1], moved[2], 0.0, 0.0, 0.0);
+        estimate.pose = GroundPose::from_vector(&(estimate.pose.to_vector() + estimate.by_keyframe * moved));
+    }
+
+    /// Keeps the tracks of a measured frame for [`Odometry::tracks`].
+    fn show_tracks(&mut self, found: &[FoundCorner], estimate: &MotionEstimate) {
         let corners = self.keyframe.as_ref().map_or(&[][..], |keyframe| &keyframe.corners);
         let view = |(found, &inlier): (&FoundCorner, &bool)| {
             let corner = corners.get(found.corner)?.template.centre();
@@ -416,21 +427,32 @@ impl Odometry {
         };
         self.tracks.clear();
         self.tracks.extend(found.iter().zip(&estimate.inliers).filter_map(view));
-        if let (Some(keyframe), Some(propagated), Some(KeyframeUpdate { moved, .. })) =
-            (&self.keyframe, &from_keyframe, &learned_keyframe)
-        {
-            let keyframe = GroundPose::from_vector(&(keyframe.pose.to_vector() + moved));
-            self.learned.rig_prior.learn(&estimate, &keyframe, propagated);
-        }
-        if let Some(keyframe) = &mut self.keyframe {
-            self.learned.saw_level(keyframe, &found, &estimate, self.last.as_ref());
-            if keyframe.surface.is_none() && self.frames.is_multiple_of(LEVELLED_EVERY) {
-                keyframe.set_level(&self.camera, self.learned.relief_m2());
-            }
+    }
+
+    /// Learns from a measured frame how height and tilt vary, the level of the ground and how much
+    /// is usually found.
+    fn learn(
+        &mut self,
+        found: &[FoundCorner],
+        estimate: &MotionEstimate,
+        update: &KeyframeUpdate,
+        inlier_ratio: Option<f64>,
+    ) {
+        let Some(keyframe) = &mut self.keyframe else { return };
+        let from_keyframe = propagated(&estimate.by_keyframe, &update.covariance);
+        let improved = GroundPose::from_vector(&(keyframe.pose.to_vector() + update.moved));
+        self.learned.rig_prior.learn(estimate, &improved, &from_keyframe);
+        self.learned.saw_level(keyframe, found, estimate, self.last.as_ref());
+        if keyframe.surface.is_none() && self.frames.is_multiple_of(LEVELLED_EVERY) {
+            keyframe.set_level(&self.camera, self.learned.relief_m2());
         }
         if let Some(inlier_ratio) = inlier_ratio {
             self.learned.saw(inlier_ratio, estimate.residual_px);
         }
+    }
+
+    /// The camera is where a frame was measured: the next frame is predicted from here.
+    fn follow(&mut self, time_s: f64, estimate: &MotionEstimate, covariance: Matrix6<f64>) {
         self.candidate = None;
         self.recovery.reset();
         if std::mem::take(&mut self.lost_frames) > 0 {
@@ -441,78 +463,8 @@ impl Odometry {
             None => LastPose::still(time_s, estimate.pose, covariance),
         });
         let exposed = self.keyframe.as_ref().map(|keyframe| (&keyframe.pose, &keyframe.shutter));
-        self.learned.saw_shutter(&estimate, self.last.as_ref(), exposed);
-        self.refine_exposure(&estimate);
-        let improved = self.improve(time_s, &estimate);
-        let measured_against = self.keyframe.as_ref().and_then(|keyframe| keyframe.id);
-        self.reference = measured_against.map(|keyframe| FrameReference { keyframe, next: None });
-        let keyframe = support < self.enough_support() || self.leaves_the_keyframe(&found, time_s);
-        if self.config.motion.model == MotionModel::Mean {
-            self.keep_only(&found, covariance); // from here on what was found has other numbers
-        }
-        if keyframe {
-            let moved = learned_keyframe.map_or_else(PoseRates::zeros, |keyframe| keyframe.moved);
-            self.change_keyframe(
-                pyramid,
-                time_s,
-                &estimate,
-                (moved, covariance),
-                model_covariance,
-                by_readout,
-                by_mount_tilt,
-            );
-        } else {
-            self.spare = Some(pyramid);
-            // The mean follows its corners from frame to frame, under numbers of their own.
-            if let (true, Some(keyframe)) =
-                (self.config.motion.model != MotionModel::Mean, &mut self.keyframe)
-            {
-                keyframe.drop_moving(&found, &estimate);
-            }
-        }
-        FrameEstimate {
-            frame: self.frames,
-            time_s,
-            status: TrackStatus::Tracked,
-            estimate: Some(PoseEstimate { covariance: known_covariance, ..improved }),
-            tracks: estimate.inliers.len(),
-            inliers,
-            residual_px: estimate.residual_px,
-            keyframe,
-            segment: self.segment,
-        }
-    }
-
-    /// What the skew of the keyframe adds to the covariance of a frame, and how the frame's pose
-    /// changes with the readout time.
-    fn shutter_errors(&mut self, estimate: &MotionEstimate) -> (Matrix6<f64>, PoseRates) {
-        let Some(keyframe) = &self.keyframe else { return Default::default() };
-        let of_keyframe = estimate.by_keyframe * keyframe.by_readout;
-        let Some(seen) = &estimate.shutter else {
-            return (Matrix6::zeros(), of_keyframe + self.own_by_readout);
-        };
-        self.own_by_readout = seen.pose_by_keyframe_skew * keyframe.shutter.rates
-            + seen.pose_by_expected_skew * seen.expected_rates;
-        (keyframe.covariance_by_skew(estimate), of_keyframe + self.own_by_readout)
-    }
-
-    /// How the frame's pose changes with roll and pitch of the mount.
-    fn by_mount_tilt(&mut self, estimate: &MotionEstimate) -> Matrix6x2<f64> {
-        if self.config.motion.model != MotionModel::Auto {
-            return Matrix6x2::zeros();
-        }
-        let [_, of_roll, of_pitch] =
-            self.learned.rig_prior.prior(&estimate.pose, &self.config.motion).mount_share;
-        let share = [of_roll, of_pitch];
-        let mut by_prior = self.by_mount_tilt.fixed_rows::<2>(4).into_owned();
-        for i in 0..2 {
-            by_prior.row_mut(i).scale_mut(1.0 - share[i]);
-            by_prior[(i, i)] += share[i];
-        }
-        let of_keyframe =
-            self.keyframe.as_ref().map_or_else(Matrix6x2::zeros, |keyframe| keyframe.by_mount_tilt);
-        self.by_mount_tilt = estimate.by_keyframe * of_keyframe + estimate.by_prior_tilt * by_prior;
-        self.by_mount_tilt
+        self.learned.saw_shutter(estimate, self.last.as_ref(), exposed);
+        self.refine_exposure(estimate);
     }
 
     /// The first frame that shows ground is where the world begins.

@@ -1,14 +1,15 @@
 //! Choice of the next keyframe: an older one if the camera has returned to it, otherwise a new one.
 
 use super::found_corner::FoundCorner;
-use super::keyframe::Keyframe;
+use super::frame_uncertainty::FrameUncertainty;
+use super::keyframe::{Keyframe, KeyframeUpdate};
 use super::keyframe_event::Before;
 use super::{Odometry, tracking};
 use crate::geometry::GroundPose;
 use crate::image::Pyramid;
 use crate::keyframe::{EdgeKind, KeyframeId};
 use crate::motion::{MotionEstimate, MotionModel, PoseRates, Random};
-use nalgebra::{Matrix6, Matrix6x2};
+use nalgebra::Matrix6;
 
 /// A new keyframe is also made if less than this fraction of the corners is predicted to be in view
 /// in the next frame.
@@ -40,11 +41,10 @@ impl Odometry {
         pyramid: Pyramid,
         time_s: f64,
         estimate: &MotionEstimate,
-        (moved, covariance): (PoseRates, Matrix6<f64>),
-        model_covariance: Matrix6<f64>,
-        by_readout: PoseRates,
-        by_mount_tilt: Matrix6x2<f64>,
+        update: &KeyframeUpdate,
+        uncertainty: &FrameUncertainty,
     ) {
+        let FrameUncertainty { covariance, model_covariance, by_readout, by_mount_tilt } = *uncertainty;
         let pose = estimate.pose;
         self.learned.rig_prior.change_keyframe();
         let pyramid = match self.revisit(pyramid, estimate, &covariance) {
@@ -59,7 +59,7 @@ impl Odometry {
         let before = self.keyframe.as_ref().and_then(|before| {
             let kind = EdgeKind::Odometry;
             // The edge starts from the keyframe as this frame corrects it.
-            let pose = GroundPose::from_vector(&(before.pose.to_vector() + moved));
+            let pose = GroundPose::from_vector(&(before.pose.to_vector() + update.moved));
             let covariance = before.relative_covariance(estimate, self.config.motion.model);
             Some(Before { id: before.id?, pose, covariance, kind })
         });

@@ -101,7 +101,7 @@ impl ReadoutProfile {
 
     /// The readout time with the least residual, by the parabola through the best and its
     /// neighbours, and its standard deviation, seconds: zero where a global shutter explains the
-    /// recording as well.
+    /// recording about as well, with a deviation that covers the vertex.
     pub fn measured(&self) -> (f64, f64) {
         let rolls = self.rolls();
         let best = self.tried.iter().position(|tried| rolls && *tried == self.best()).unwrap_or(0);
@@ -119,7 +119,9 @@ impl ReadoutProfile {
             false => 0.0,
         };
         let deviation_s = if is_convex { (CHANCE_GAIN / half_curvature).sqrt() } else { f64::INFINITY };
-        (readout_s, deviation_s.min(self.unknown_s()))
+        // A vertex that is not believed may be right all the same.
+        let disbelieved_s = if rolls { 0.0 } else { vertex_s };
+        (readout_s, deviation_s.hypot(disbelieved_s).min(self.unknown_s()))
     }
 }
 

@@ -37,7 +37,7 @@ use std::sync::{Arc, OnceLock};
 const MARGIN_PX: usize = 9;
 
 /// What a frame tells of the errors of its keyframe.
-#[derive(Debug, Clone, Copy)]
+#[derive(Debug, Clone, Copy, Default)]
 pub struct KeyframeUpdate {
     /// By how much the pose is off, (x, y, heading, height, roll, pitch).
     pub moved: Vector6<f64>,

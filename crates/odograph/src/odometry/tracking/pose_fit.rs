@@ -36,90 +36,146 @@ pub(super) fn fit_pose(
     let estimate = if config.motion.model == MotionModel::Mean {
         mean_motion(keyframe, &found, camera, prediction, config, random)
     } else {
-        let prior = learned.rig_prior.prior(prediction, &config.motion);
-        let mut measure = |near: &GroundPose, prior: &RigPrior, plane: GroundHypothesis| {
-            let shutter = learned.shutter_at(camera, near);
-            let frame_shutter = learned
-                .frame_shutter
-                .map(|prior| ShutterPrior { applies: prior.applies || plane.is_tilted, ..prior });
-            let shape = (plane.relief_m2 > 0.0).then(|| learned.shape(keyframe, prior)).flatten();
-            // The error of the keyframe's skew is the same in all frames, as that of a slope.
-            let of_keyframe = shape.map_or(PoseRates::zeros(), |_| keyframe.rate_variance);
-            let frame_shutter = frame_shutter
-                .map(|prior| ShutterPrior { rate_variance: prior.rate_variance + of_keyframe, ..prior });
-            let shutter = frame_shutter.as_ref().zip(shutter.as_ref());
-            let (observations, noise_px) =
-                observations(keyframe, &found, camera, near, shutter, (plane.relief_m2, plane.new_ground_m2));
-            let shutter = shutter.map(|(prior, shutter)| (prior, shutter.rates));
-            let keyframe_covariance = &(keyframe.rig_covariance() + plane.tilt_covariance());
-            let observations = Observations {
-                seen: &observations,
-                noise_px,
-                keyframe_pose: &keyframe.pose,
-                keyframe_covariance,
-                shutter,
-                shape: shape.as_ref(),
-            };
-            estimate(camera, observations, near, prior, &config.motion, random)
-        };
         let near = probe_pose.unwrap_or(*prediction);
+        let prior = learned.rig_prior.prior(prediction, &config.motion);
         // A keyframe that deviates from the mount by more than its scatter is still valid for its
         // frames.
-        let prior = [prior, prior.reaching(&keyframe.pose)];
-        let mut best = |plane: GroundHypothesis| {
-            let first = prior.iter().find_map(|prior| Some((measure(&near, prior, plane)?, prior)));
-            match first {
-                // The rates were those of the predicted pose: once more with those of the measured.
-                Some((found, prior)) if learned.skew_is_fitted() => {
-                    Some(measure(&found.pose, prior, plane).unwrap_or(found))
-                }
-                first => first.map(|(found, _)| found),
-            }
-        };
-        let relief_m2 = learned.relief_m2();
-        let plane = GroundHypothesis { relief_m2, ..GroundHypothesis::default() };
-        let flat = best(plane);
-        let mut tilted = None;
-        let mut explained = |hypothesis: GroundHypothesis, by: Unevenness| {
-            let uneven = best(hypothesis)?;
-            let factors = if is_noise(&uneven) {
-                OVER_NOISE
-            } else if uneven.residual_px < POOR_PX {
-                UNEVEN_FACTORS
-            } else {
-                return None;
-            };
-            let is_better = |flat: &Option<MotionEstimate>, factor: f64| match by {
-                Unevenness::Relief => explains_better(&uneven, flat, factor),
-                Unevenness::NewGround => {
-                    explains_better(&uneven, flat, factor) || explains_more(&uneven, flat)
-                }
-            };
-            if !is_better(&flat, factors.over_plane) {
-                return None;
-            }
-            let tilted = tilted.get_or_insert_with(|| best(GroundHypothesis { is_tilted: true, ..plane }));
-            let is_best = is_better(tilted, factors.over_tilt);
-            is_best.then_some(MotionEstimate { uneven: Some(by), ..uneven })
-        };
-        let is_poor = flat.as_ref().is_none_or(|flat| flat.residual_px > POOR_PX);
-        // A skew that is not known would pass for relief.
-        let may_be_rough = is_poor && relief_m2 == 0.0 && learned.may_see_skew();
-        let rough = GroundHypothesis { relief_m2: learned.least_relief_m2(), ..plane };
-        let rough = may_be_rough.then(|| explained(rough, Unevenness::Relief)).flatten();
-        // A wrong lens is like curved ground, but leaves residuals on known ground, too.
-        let was_exact = learned.usual_residual_px().is_some_and(|usual_px| usual_px < EXACT_PX);
-        let may_rise = relief_m2 == 0.0 && was_exact && keyframe.may_leave_plane();
-        let may_rise = may_rise && (is_poor || new_ground_disagrees(keyframe, &found, flat.as_ref()));
-        let highest_m = MAX_KERB_HEIGHT * keyframe.pose.height_m;
-        let new_ground = GroundHypothesis { new_ground_m2: highest_m * highest_m, ..plane };
-        let mut raised = || may_rise.then(|| explained(new_ground, Unevenness::NewGround)).flatten();
-        rough.or_else(&mut raised).or(flat)
+        let priors = [prior, prior.reaching(&keyframe.pose)];
+        PoseFit { keyframe, found: &found, camera, config, learned, near, priors, random, tilted: None }
+            .on_likeliest_ground()
     };
     let estimate = estimate.ok_or_else(|| reason_of_loss(keyframe, camera, &found, prediction))?;
     let support = estimate.inlier_count() as f64 / keyframe.corners_at_first.max(1) as f64;
     let refined = probe_pose.is_some();
     Ok(Measurement { estimate, prediction: *prediction, found, support, refined, agreement: None })
+}
+
+/// Fits of one frame under several hypotheses about the ground.
+struct PoseFit<'a> {
+    keyframe: &'a Keyframe,
+    found: &'a [FoundCorner],
+    camera: &'a Camera,
+    config: &'a OdometryConfig,
+    learned: &'a Learned,
+    /// Where the pose is searched for.
+    near: GroundPose,
+    /// Priors of height and tilt, the likelier first.
+    priors: [RigPrior; 2],
+    random: &'a mut Random,
+    /// The fit with a tilt and a skew that are unknown, once it was needed.
+    tilted: Option<Option<MotionEstimate>>,
+}
+
+impl PoseFit<'_> {
+    /// The fit with ground as it is known; with uneven ground if only that explains the corners.
+    fn on_likeliest_ground(&mut self) -> Option<MotionEstimate> {
+        let (keyframe, learned) = (self.keyframe, self.learned);
+        let known = self.known_ground();
+        let flat = self.fit(known);
+        let is_flat = known.relief_m2 == 0.0;
+        let is_poor = flat.as_ref().is_none_or(|flat| flat.residual_px > POOR_PX);
+        // A skew that is not known would pass for relief.
+        if is_flat && is_poor && learned.may_see_skew() {
+            let rough = GroundHypothesis { relief_m2: learned.least_relief_m2(), ..known };
+            let rough = self.fit_if_better(rough, Unevenness::Relief, &flat);
+            if rough.is_some() {
+                return rough;
+            }
+        }
+        // A wrong lens is like curved ground, but leaves residuals on known ground, too.
+        let was_exact = learned.usual_residual_px().is_some_and(|usual_px| usual_px < EXACT_PX);
+        let may_rise = is_flat && was_exact && keyframe.may_leave_plane();
+        if may_rise && (is_poor || new_ground_disagrees(keyframe, self.found, flat.as_ref())) {
+            let highest_m = MAX_KERB_HEIGHT * keyframe.pose.height_m;
+            let raised = GroundHypothesis { new_ground_m2: highest_m * highest_m, ..known };
+            let raised = self.fit_if_better(raised, Unevenness::NewGround, &flat);
+            if raised.is_some() {
+                return raised;
+            }
+        }
+        flat
+    }
+
+    /// The ground as it is known: rough by as much as was seen.
+    fn known_ground(&self) -> GroundHypothesis {
+        GroundHypothesis { relief_m2: self.learned.relief_m2(), ..GroundHypothesis::default() }
+    }
+
+    /// The fit with uneven ground if it explains the corners better than flat ground does, with or
+    /// without an unknown tilt.
+    fn fit_if_better(
+        &mut self,
+        ground: GroundHypothesis,
+        by: Unevenness,
+        flat: &Option<MotionEstimate>,
+    ) -> Option<MotionEstimate> {
+        let uneven = self.fit(ground)?;
+        let factors = if is_noise(&uneven) {
+            OVER_NOISE
+        } else if uneven.residual_px < POOR_PX {
+            UNEVEN_FACTORS
+        } else {
+            return None;
+        };
+        let is_better = |flat: &Option<MotionEstimate>, factor: f64| match by {
+            Unevenness::Relief => explains_better(&uneven, flat, factor),
+            Unevenness::NewGround => explains_better(&uneven, flat, factor) || explains_more(&uneven, flat),
+        };
+        let is_best = is_better(flat, factors.over_plane) && is_better(self.tilted(), factors.over_tilt);
+        is_best.then_some(MotionEstimate { uneven: Some(by), ..uneven })
+    }
+
+    /// The fit with flat ground under a keyframe of unknown tilt.
+    fn tilted(&mut self) -> &Option<MotionEstimate> {
+        if self.tilted.is_none() {
+            let ground = GroundHypothesis { is_tilted: true, ..self.known_ground() };
+            self.tilted = Some(self.fit(ground));
+        }
+        self.tilted.as_ref().unwrap_or(&None)
+    }
+
+    /// The fit under a hypothesis about the ground.
+    fn fit(&mut self, ground: GroundHypothesis) -> Option<MotionEstimate> {
+        let (near, priors) = (self.near, self.priors);
+        let (found, prior) =
+            priors.iter().find_map(|prior| Some((self.fit_near(&near, prior, ground)?, prior)))?;
+        if !self.learned.skew_is_fitted() {
+            return Some(found);
+        }
+        // The rates were those of the predicted pose: once more with those of the measured.
+        Some(self.fit_near(&found.pose, prior, ground).unwrap_or(found))
+    }
+
+    /// The same about a pose, with which a rolling shutter is corrected.
+    fn fit_near(
+        &mut self,
+        near: &GroundPose,
+        prior: &RigPrior,
+        ground: GroundHypothesis,
+    ) -> Option<MotionEstimate> {
+        let Self { keyframe, found, camera, config, learned, .. } = *self;
+        let shutter = learned.shutter_at(camera, near);
+        let shape = (ground.relief_m2 > 0.0).then(|| learned.shape(keyframe, prior)).flatten();
+        // The error of the keyframe's skew is the same in all frames, as that of a slope.
+        let of_keyframe = shape.map_or(PoseRates::zeros(), |_| keyframe.rate_variance);
+        let frame_shutter = learned.frame_shutter.map(|prior| ShutterPrior {
+            applies: prior.applies || ground.is_tilted,
+            rate_variance: prior.rate_variance + of_keyframe,
+            ..prior
+        });
+        let shutter = frame_shutter.as_ref().zip(shutter.as_ref());
+        let relief_m2 = (ground.relief_m2, ground.new_ground_m2);
+        let (observations, noise_px) = observations(keyframe, found, camera, near, shutter, relief_m2);
+        let observations = Observations {
+            seen: &observations,
+            noise_px,
+            keyframe_pose: &keyframe.pose,
+            keyframe_covariance: &(keyframe.rig_covariance() + ground.tilt_covariance()),
+            shutter: shutter.map(|(prior, shutter)| (prior, shutter.rates)),
+            shape: shape.as_ref(),
+        };
+        estimate(camera, observations, near, prior, &config.motion, self.random)
+    }
 }
 
 /// Where tracks of flat ground are off by more than this, pixels, it may not be flat, or the
