@@ -256,4 +256,10 @@ mod tests {
         assert_eq!((found.0, trials), (0.0, 3));
         assert!(found.1 > 1e-3, "{found:?}");
     }
+
+    #[test]
+    fn the_deviation_of_a_global_shutter_covers_a_vertex_that_gains_too_little() {
+        let (found, _) = found(|ms| 1e-3 * (ms - 5.0) * (ms - 5.0) - 3.0);
+        assert!(found.0 == 0.0 && found.1 > 5e-3, "{found:?}");
+    }
 }

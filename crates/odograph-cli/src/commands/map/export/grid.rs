@@ -33,7 +33,7 @@ pub fn picture_of(yaml: &Path) -> PathBuf {
 }
 
 /// Writes the grid and reports what was written. Cells of which the mosaic shows at least half are
-/// free, others unknown; none is occupied.
+/// free, others unknown; no cell is occupied.
 pub fn write(file: &MapFile, layer: &MosaicLayer, yaml: &Path, cell_m: Option<f64>) -> Result<String> {
     let grid = Grid::of(file, layer, cell_m)?;
     let picture = picture_of(yaml);
