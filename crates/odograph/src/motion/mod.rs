@@ -38,7 +38,7 @@ pub use mean::mean_displacement;
 pub use random::Random;
 pub use residual::Axes;
 pub use rig_prior::{RigPrior, RigPriorEstimator};
-pub use rolling_shutter::{PoseRates, Readout, RollingShutter, ShutterEstimate, ShutterPrior};
+pub use rolling_shutter::{ExpectedRates, PoseRates, Readout, RollingShutter, ShutterEstimate, ShutterPrior};
 
 use crate::buffer::{Buffer, stored};
 use crate::camera::Camera;

@@ -79,22 +79,40 @@ pub struct Readout {
     pub variance_s2: f64,
 }
 
+/// What is expected of the rates and accelerations of an image: linear functions of its pose.
+#[derive(Debug, Clone, Copy, PartialEq, Default)]
+pub struct ExpectedRates {
+    /// Derivatives of the rates by the pose, per second.
+    pub rate_by_pose_hz: PoseRates,
+    /// The rates are these plus `rate_by_pose_hz` times the pose.
+    pub rate_offset: PoseRates,
+    /// Variances of the rates given the pose.
+    pub rate_variance: PoseRates,
+    /// Derivatives of the accelerations by the pose, per second².
+    pub acceleration_by_pose: PoseRates,
+    /// The accelerations are these plus `acceleration_by_pose` times the pose.
+    pub acceleration_offset: PoseRates,
+}
+
+impl ExpectedRates {
+    /// Expected rates of an image at a pose.
+    pub fn rates_at(&self, pose: &PoseRates) -> PoseRates {
+        self.rate_by_pose_hz.component_mul(pose) + self.rate_offset
+    }
+
+    /// Expected accelerations of an image at a pose.
+    pub fn accelerations_at(&self, pose: &PoseRates) -> PoseRates {
+        self.acceleration_by_pose.component_mul(pose) + self.acceleration_offset
+    }
+}
+
 /// Prior of an image's exposure.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct ShutterPrior {
     /// The readout time.
     pub readout: Readout,
-    /// The rates of the pose are expected at `rate_by_pose_hz` times the pose plus `rate_offset`.
-    pub rate_by_pose_hz: f64,
-    /// See `rate_by_pose_hz`.
-    pub rate_offset: PoseRates,
-    /// Variances of the rates.
-    pub rate_variance: PoseRates,
-    /// The accelerations of the pose are expected at these times the pose plus
-    /// `acceleration_offset`.
-    pub acceleration_by_pose: PoseRates,
-    /// See `acceleration_by_pose`.
-    pub acceleration_offset: PoseRates,
+    /// The motion of the camera.
+    pub expected: ExpectedRates,
     /// Whether the skew is an unknown of the pose's fit; otherwise it is only estimated from its
     /// end.
     pub applies: bool,
@@ -103,18 +121,15 @@ pub struct ShutterPrior {
 impl ShutterPrior {
     /// The predicted shutter of an image at `pose`.
     pub fn shutter_at(&self, camera: &Camera, pose: &GroundPose) -> RollingShutter {
-        let rates = self.rate_by_pose_hz * pose.to_vector() + self.rate_offset;
-        let accelerations = self.acceleration_by_pose.component_mul(&pose.to_vector());
-        RollingShutter {
-            accelerations: accelerations + self.acceleration_offset,
-            ..RollingShutter::new(camera, self.readout.mean_s, rates)
-        }
+        let pose = pose.to_vector();
+        let (rates, accelerations) = (self.expected.rates_at(&pose), self.expected.accelerations_at(&pose));
+        RollingShutter { accelerations, ..RollingShutter::new(camera, self.readout.mean_s, rates) }
     }
 
     /// Prior standard deviations of the skew of an image with predicted `rates`.
     pub fn skew_sigma(&self, rates: &PoseRates) -> PoseRates {
         let Readout { mean_s, variance_s2 } = self.readout;
-        rates.zip_map(&self.rate_variance, |rate, variance| {
+        rates.zip_map(&self.expected.rate_variance, |rate, variance| {
             (mean_s * mean_s * variance + variance_s2 * (rate * rate + variance)).sqrt()
         })
     }

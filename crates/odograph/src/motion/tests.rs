@@ -331,11 +331,10 @@ fn sloping_ground_does_not_pass_for_a_skew() {
     // A skew of 0.2 mm in x and y.
     let prior = ShutterPrior {
         readout: Readout { mean_s: 0.02, variance_s2: 0.0 },
-        rate_by_pose_hz: 0.0,
-        rate_offset: PoseRates::zeros(),
-        rate_variance: PoseRates::new(1e-4, 1e-4, 0.0, 0.0, 0.0, 0.0),
-        acceleration_by_pose: PoseRates::zeros(),
-        acceleration_offset: PoseRates::zeros(),
+        expected: ExpectedRates {
+            rate_variance: PoseRates::new(1e-4, 1e-4, 0.0, 0.0, 0.0, 0.0),
+            ..Default::default()
+        },
         applies: true,
     };
     let measure = |shape| {

@@ -40,7 +40,7 @@ impl Odometry {
         let readout_s = prior.readout.mean_s;
         next.shutter =
             RollingShutter { rates: seen.expected_rates, ..prior.shutter_at(&self.camera, &estimate.pose) };
-        next.rate_variance = prior.rate_variance;
+        next.rate_variance = prior.expected.rate_variance;
         next.rates_on_slope = Some((next.shutter.rates, next.rate_variance));
         let Some(keyframe) = self.keyframe.as_ref().filter(|_| self.rows_determine_rates(readout_s)) else {
             return;
@@ -54,7 +54,7 @@ impl Odometry {
                 + keyframe.rate_variance[i]
                 + of_readout
                 + of_slope;
-            let predicted = prior.rate_variance[i];
+            let predicted = prior.expected.rate_variance[i];
             if by_rows.is_finite() && by_rows + predicted > 0.0 {
                 let gain = predicted / (predicted + by_rows);
                 next.shutter.rates[i] += gain * (seen.evidence[i] / readout_s - seen.expected_rates[i]);
@@ -84,7 +84,8 @@ impl Odometry {
         let mut rates = keyframe.shutter.rates;
         for i in 0..6 {
             let of_readout = relative_variance * (seen.expected_rates[i] - rates[i]).powi(2);
-            let noise = seen.evidence_variance[i] / readout_s.powi(2) + prior.rate_variance[i] + of_readout;
+            let noise =
+                seen.evidence_variance[i] / readout_s.powi(2) + prior.expected.rate_variance[i] + of_readout;
             let off = seen.expected_rates[i] - seen.evidence[i] / readout_s;
             if let Some((on_slope, variance)) = &mut keyframe.rates_on_slope {
                 let off = off + rates[i] - on_slope[i];

@@ -3,7 +3,7 @@
 use super::found_corner::FoundCorner;
 use super::keyframe::Keyframe;
 use super::last_pose::LastPose;
-use super::shutter::ShutterState;
+use super::shutter::{PoseChange, ShutterState};
 use crate::camera::Camera;
 use crate::geometry::GroundPose;
 use crate::motion::{
@@ -215,9 +215,11 @@ impl Learned {
         keyframe: Option<(&GroundPose, &RollingShutter)>,
     ) {
         let Some(shutter) = &mut self.shutter else { return };
-        let step = last.and_then(|last| Some((last.pose_rates?, last.step_s)));
-        let moved = step.map_or(0.0, |(rates, step_s)| step_s * rates[0].hypot(rates[1]));
-        shutter.saw_step(step.map(|(rates, _)| rates), moved, estimate.pose.height_m);
+        let change = last.and_then(|last| {
+            let variance = estimate.covariance.diagonal();
+            Some(PoseChange { rates: last.pose_rates?, step_s: last.step_s, variance })
+        });
+        shutter.saw_step(change.as_ref(), estimate.pose.height_m);
         if let (Some(seen), Some(prior), Some((pose, exposed))) =
             (&estimate.shutter, &self.frame_shutter, keyframe)
         {

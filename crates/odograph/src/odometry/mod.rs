@@ -21,6 +21,7 @@ mod loss;
 mod moving_ground;
 mod pattern_noise;
 mod pose_hypotheses;
+mod rate_filter;
 mod recalibration;
 mod recovery;
 mod repeated;

@@ -2,7 +2,9 @@
 //! can be predicted from the poses before it.
 
 use super::last_pose::LastPose;
+use super::rate_filter::RateFilter;
 use crate::camera::Camera;
+use crate::geometry::pose_index::{X, Y};
 use crate::motion::{PoseRates, Readout, ShutterEstimate, ShutterPrior};
 use std::collections::VecDeque;
 
@@ -16,8 +18,8 @@ pub struct ShutterState {
     steps_seen: u64,
     /// How far the camera has moved while it was undecided, in heights.
     moved: f64,
-    /// Mean squared errors of the predicted rates.
-    rate_variance: PoseRates,
+    /// The motion of the camera.
+    rates: RateFilter,
     /// Mean rates between the last poses, the newest first.
     history: VecDeque<PoseRates>,
     /// Skew over rates of x, y and heading, of the frames measured against the present keyframe.
@@ -27,6 +29,17 @@ pub struct ShutterState {
     /// Skew against the keyframe's, its variances, and the displacement from there, of the last
     /// frame.
     waiting: Option<(PoseRates, PoseRates, PoseRates)>,
+}
+
+/// A change of the pose from one frame to the next.
+#[derive(Debug, Clone, Copy)]
+pub struct PoseChange {
+    /// Mean rates.
+    pub rates: PoseRates,
+    /// The time it took.
+    pub step_s: f64,
+    /// Variances of the second pose.
+    pub variance: PoseRates,
 }
 
 /// What the shutter is taken for.
@@ -64,18 +77,6 @@ const MATTERING_HEIGHTS: f64 = 3.0;
 /// Standard deviation of a readout time of which nothing is known: half of a frame at 30 a second.
 const UNKNOWN_READOUT_S: f64 = 0.015;
 
-/// Rates of position and heading in the first frames are predicted to this: parts of the height,
-/// and radians, per second. A third of what a hand does.
-const FIRST_RATE_ERROR: f64 = 0.1;
-
-/// Lower bound of the prediction error of the rates: fractions of the height, and radians, per
-/// second.
-const LEAST_RATE_ERROR: f64 = 1e-4;
-
-/// Weights of the newest frame in the mean squared errors where it raises and where it lowers them.
-const RAISING: f64 = 0.3;
-const LOWERING: f64 = 0.05;
-
 /// The standard deviation of a sure readout time, a part of itself.
 const SURE: f64 = 0.03;
 
@@ -93,7 +94,6 @@ impl ShutterState {
             Some(mean_s) => Readout { mean_s, variance_s2: camera.readout_deviation_s().powi(2) },
             None => Readout { mean_s: 0.0, variance_s2: UNKNOWN_READOUT_S.powi(2) },
         };
-        let (turn, shift) = (FIRST_RATE_ERROR.powi(2), (FIRST_RATE_ERROR * height_m).powi(2));
         Self {
             readout,
             first: readout,
@@ -103,7 +103,7 @@ impl ShutterState {
             },
             steps_seen: 0,
             moved: 0.0,
-            rate_variance: PoseRates::new(shift, shift, turn, 0.0, 0.0, 0.0),
+            rates: RateFilter::new(height_m),
             history: VecDeque::with_capacity(MOST_STEPS + 1),
             serving: Default::default(),
             past: RegressionSums::default(),
@@ -115,7 +115,7 @@ impl ShutterState {
     pub fn move_as(&mut self, before: &Self) {
         self.steps_seen = before.steps_seen;
         self.moved = before.moved;
-        self.rate_variance = before.rate_variance;
+        self.rates.clone_from(&before.rates);
         self.history.clone_from(&before.history);
     }
 
@@ -181,14 +181,6 @@ impl ShutterState {
         if self.is_global() || step_s <= 0.0 || !is_looked_at {
             return None;
         }
-        // The slope at the end of the parabola through the last two poses and this one.
-        let share = last.pose_rates.map_or(0.0, |_| step_s / (step_s + last.step_s));
-        let rate_by_pose_hz = (1.0 + share) / step_s;
-        let rate_offset =
-            -rate_by_pose_hz * last.pose.to_vector() - share * last.pose_rates.unwrap_or_default();
-        // Without an earlier step the rate may have changed by as much as it is.
-        let more = if last.pose_rates.is_some() { 1.0 } else { 3.0 };
-        let rate_variance = self.rate_variance * (more * more);
         // What is only looked at may be anything.
         let readout = match self.phase {
             ShutterDecision::TakenGlobal => Readout { mean_s: 0.0, variance_s2: UNKNOWN_READOUT_S.powi(2) },
@@ -196,68 +188,28 @@ impl ShutterState {
             ShutterDecision::Settled => Readout { variance_s2: 0.0, ..self.readout },
             _ => self.readout,
         };
-        let (acceleration_by_pose, acceleration_offset) = self.accelerations(last, step_s);
-        Some(ShutterPrior {
-            readout,
-            rate_by_pose_hz,
-            rate_offset,
-            rate_variance,
-            acceleration_by_pose,
-            acceleration_offset,
-            applies,
-        })
+        let expected = self.rates.expected(step_s, &last.pose.to_vector());
+        Some(ShutterPrior { readout, applies, expected })
     }
 
-    /// The second derivative of the parabola through the last two poses and that of an image
-    /// `step_s` later, as a linear function of the latter; less where the rates are badly predicted
-    /// (Wiener): there the camera shakes faster than images are taken.
-    fn accelerations(&self, last: &LastPose, step_s: f64) -> (PoseRates, PoseRates) {
-        let steps = self.history.front().zip(self.history.get(1));
-        let (Some(rates), Some((now, before))) = (last.pose_rates, steps) else { return Default::default() };
-        let between_s = 0.5 * (step_s + last.step_s);
-        let seen = (now - before) / last.step_s.max(1e-6);
-        let reliable = seen.zip_map(&self.rate_variance, |seen, variance| {
-            let noise = variance / (between_s * between_s);
-            if seen == 0.0 { 0.0 } else { seen * seen / (seen * seen + noise) }
-        });
-        let by_pose = reliable / (between_s * step_s);
-        let offset =
-            -by_pose.component_mul(&last.pose.to_vector()) - reliable.component_mul(&rates) / between_s;
-        (by_pose, offset)
-    }
-
-    /// Learns from the mean rates since the last pose how well they can be predicted; `None` where
-    /// there was no last pose.
-    pub fn saw_step(&mut self, step: Option<PoseRates>, moved: f64, height_m: f64) {
+    /// The pose has changed by `change` since the last one, `None` where there was none.
+    pub fn saw_step(&mut self, change: Option<&PoseChange>, height_m: f64) {
         self.steps_seen += 1;
-        self.moved += moved / height_m;
+        let Some(PoseChange { rates, step_s, variance }) = change else {
+            self.history.clear();
+            self.waiting = None;
+            self.rates = RateFilter::new(height_m);
+            return;
+        };
+        self.moved += step_s * rates[X].hypot(rates[Y]) / height_m;
         if self.phase == ShutterDecision::Undecided && self.moved > UNDECIDED_HEIGHTS {
             self.phase = ShutterDecision::TakenGlobal;
         }
-        let Some(step) = step else {
-            self.history.clear();
-            self.waiting = None;
-            return;
-        };
         if let Some(last) = self.history.front() {
-            self.learn(&(0.5 * (step + *last)));
+            self.learn(&(0.5 * (rates + *last)));
         }
-        if let (Some(last), Some(before)) = (self.history.front(), self.history.get(1)) {
-            // The predicted rate at the last pose less the slope there of the parabola through this
-            // one.
-            let off = 0.5 * (step - 2.0 * *last + *before);
-            for i in 0..6 {
-                let (variance, square) = (&mut self.rate_variance[i], off[i] * off[i]);
-                let rate =
-                    if square > *variance { RAISING } else { LOWERING.max(1.0 / self.steps_seen as f64) };
-                let unit = if matches!(i, 0 | 1 | 3) { height_m } else { 1.0 };
-                *variance += rate * (square - *variance);
-                if i < 3 {
-                    *variance = variance.max((LEAST_RATE_ERROR * unit).powi(2));
-                }
-            }
-        }
-        self.history.push_front(step);
+        self.rates.update(*step_s, &(*step_s * rates), variance);
+        self.history.push_front(*rates);
         self.history.truncate(MOST_STEPS);
     }
 
@@ -279,7 +231,7 @@ impl ShutterState {
         }
         let skew = seen.evidence - prior.readout.mean_s * keyframe_rates;
         let readout_s = self.readout.mean_s.abs().max(UNKNOWN_READOUT_S);
-        let variance = seen.evidence_variance + readout_s.powi(2) * prior.rate_variance;
+        let variance = seen.evidence_variance + readout_s.powi(2) * prior.expected.rate_variance;
         self.waiting = Some((skew, variance, displacement));
     }
 

@@ -13,8 +13,8 @@ use super::visibility::reason_of_loss;
 use crate::camera::Camera;
 use crate::geometry::GroundPose;
 use crate::motion::{
-    MAX_KERB_HEIGHT, MotionEstimate, MotionModel, Observations, PoseRates, Random, RigPrior, ShutterPrior,
-    Unevenness, estimate,
+    ExpectedRates, MAX_KERB_HEIGHT, MotionEstimate, MotionModel, Observations, PoseRates, Random, RigPrior,
+    ShutterPrior, Unevenness, estimate,
 };
 use crate::trajectory::LossReason;
 use nalgebra::{Matrix3, Vector3};
@@ -74,14 +74,6 @@ impl PoseFit<'_> {
         let flat = self.fit(known);
         let is_flat = known.relief_m2 == 0.0;
         let is_poor = flat.as_ref().is_none_or(|flat| flat.residual_px > POOR_PX);
-        // A skew that is not known would pass for relief.
-        if is_flat && is_poor && learned.may_see_skew() {
-            let rough = GroundHypothesis { relief_m2: learned.least_relief_m2(), ..known };
-            let rough = self.fit_if_better(rough, Unevenness::Relief, &flat);
-            if rough.is_some() {
-                return rough;
-            }
-        }
         // A wrong lens is like curved ground, but leaves residuals on known ground, too.
         let was_exact = learned.usual_residual_px().is_some_and(|usual_px| usual_px < EXACT_PX);
         let may_rise = is_flat && was_exact && keyframe.may_leave_plane();
@@ -91,6 +83,14 @@ impl PoseFit<'_> {
             let raised = self.fit_if_better(raised, Unevenness::NewGround, &flat);
             if raised.is_some() {
                 return raised;
+            }
+        }
+        // A skew that is not known would pass for relief.
+        if is_flat && is_poor && learned.may_see_skew() {
+            let rough = GroundHypothesis { relief_m2: learned.least_relief_m2(), ..known };
+            let rough = self.fit_if_better(rough, Unevenness::Relief, &flat);
+            if rough.is_some() {
+                return rough;
             }
         }
         flat
@@ -160,7 +160,10 @@ impl PoseFit<'_> {
         let of_keyframe = shape.map_or(PoseRates::zeros(), |_| keyframe.rate_variance);
         let frame_shutter = learned.frame_shutter.map(|prior| ShutterPrior {
             applies: prior.applies || ground.is_tilted,
-            rate_variance: prior.rate_variance + of_keyframe,
+            expected: ExpectedRates {
+                rate_variance: prior.expected.rate_variance + of_keyframe,
+                ..prior.expected
+            },
             ..prior
         });
         let shutter = frame_shutter.as_ref().zip(shutter.as_ref());
