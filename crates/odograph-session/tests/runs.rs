@@ -151,9 +151,14 @@ fn a_picture_is_found_in_a_map_that_stays_as_it_is() {
     assert_eq!(fs::read(&map).unwrap(), before);
     // Without a folder the results were in a temporary one.
     assert!(!outcome.folder.exists());
-    let continued = clip::run(40).map(MapUse::Continue(map.clone())).run(&()).unwrap();
+    let observer = Listening::default();
+    let continued = clip::run(40).map(MapUse::Continue(map.clone())).run(&observer).unwrap();
     assert!(continued.place.is_some());
     assert_eq!(continued.written.last(), Some(&map));
+    // The frames of the examination are heard of like those of the run.
+    let heard = observer.heard.into_inner().unwrap();
+    assert_eq!(heard[..3], ["examining the beginning", "begins false", "begins true"], "{heard:?}");
+    assert!((41..=80).contains(&observer.frames.into_inner()));
 }
 
 #[test]
