@@ -77,6 +77,21 @@ fn a_page_is_served_at_what_people_type() {
         view.wait().unwrap();
         assert!(line.starts_with(begins) && !line.contains("0.0.0.0"), "{address}: {line}");
     }
+    // A file of a run stands for the run.
+    for file in ["report.html", "run.toml", "mosaic.png"] {
+        let mut view = Command::new(env!("CARGO_BIN_EXE_odograph"))
+            .args(["view", file, "--serve", ":0"])
+            .current_dir(folder.join("drive"))
+            .stderr(Stdio::piped())
+            .spawn()
+            .unwrap();
+        let lines: Vec<String> =
+            BufReader::new(view.stderr.take().unwrap()).lines().take(2).map(Result::unwrap).collect();
+        view.kill().unwrap();
+        view.wait().unwrap();
+        assert!(lines[0].starts_with(&format!("note: {file} is a file of a run")), "{lines:?}");
+        assert!(lines[1].starts_with("note: look at http://127.0.0.1:"), "{lines:?}");
+    }
     for address in ["hello", "99999", "http://localhost:8080"] {
         let refused = odograph(folder, &["view", "drive", "--serve", address]);
         let message = message(&refused);
