@@ -235,8 +235,8 @@ fn ros_2_is_another_build_of_the_program() {
         let refused = odograph(temporary.path(), &arguments);
         let asked = if option.is_empty() { source } else { option.split('=').next().unwrap() };
         let sentence = format!(
-            "error: {asked}: this program is built without ROS 2; `cargo install --path crates/odograph-cli --features \
-             ros2` builds it with ROS 2\n"
+            "error: {asked}: this program is built without ROS 2; `cargo install --locked --path crates/odograph-cli \
+             --features ros2` builds it with ROS 2\n"
         );
         assert_eq!((refused.status.code(), message(&refused)), (Some(2), sentence));
     }
