@@ -388,9 +388,11 @@ impl Mapping {
     }
 
     /// Closes the file. Removes the map of an earlier run that this one replaces if no ground was
-    /// seen, and this run from a map in which it was not recognised, where that is asked.
+    /// seen, and this run from a map that has no keyframe of it, or in which it was not recognised,
+    /// where that is asked.
     pub fn close(&mut self) -> Result<()> {
-        let is_withdrawn = self.is_withdrawn();
+        let is_empty = self.file.kept.is_none() && self.file.origin.is_none() && self.own_places().is_empty();
+        let is_withdrawn = is_empty || self.is_withdrawn();
         match (self.file.file.take(), &self.file.claim) {
             (Some(mut file), _) if is_withdrawn => {
                 file.remove_session(self.file.session).and_then(|()| file.close())

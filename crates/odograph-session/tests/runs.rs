@@ -162,6 +162,17 @@ fn a_picture_is_found_in_a_map_that_stays_as_it_is() {
 }
 
 #[test]
+fn a_run_that_is_stopped_at_once_leaves_no_session_in_a_map() {
+    let folder = tempfile::tempdir().unwrap();
+    clip::run(40).folder(folder.path()).run(&()).unwrap();
+    let map = folder.path().join("map.gpkg");
+    let stopping = Listening { stops_after: Some(1), ..Listening::default() };
+    let outcome = clip::run(40).map(MapUse::Continue(map.clone())).run(&stopping).unwrap();
+    assert_eq!((outcome.end, outcome.statistics.frames), (RunEnd::Interrupted, 0));
+    assert_eq!(odograph_map::MapFile::open_read_only(&map).unwrap().sessions().unwrap().len(), 1);
+}
+
+#[test]
 fn errors_say_what_to_do_and_have_their_cause() {
     let error = RunBuilder::over(clip::source(5)).run(&()).unwrap_err();
     assert_eq!(error.kind(), ErrorKind::Usage);
