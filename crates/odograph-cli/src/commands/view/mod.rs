@@ -9,6 +9,7 @@ use odograph::mosaic::Mosaic;
 use odograph_live::{GroundPicture, Hub, Introduction, Mark, Phase, Status, TiledGround, TrackRecord};
 use odograph_map::MapFile;
 use odograph_session::{RunPlan, UnfinishedRun};
+use std::io::ErrorKind;
 use std::path::{Path, PathBuf};
 use std::sync::atomic::{AtomicBool, Ordering};
 use std::sync::{Arc, Mutex};
@@ -150,12 +151,15 @@ fn records(folder: &Path) -> Result<Vec<TrackRecord>> {
     let table = if growing.metadata().is_ok_and(|file| file.len() > 0) { growing } else { table };
     if !table.is_file() {
         let shown = folder.display();
-        return Err(Error::input(match folder.exists() {
-            true => format!(
+        return Err(Error::input(match folder.read_dir() {
+            Err(error) if error.kind() == ErrorKind::PermissionDenied => {
+                format!("{shown} cannot be read: {error}")
+            }
+            _ if folder.exists() => format!(
                 "{shown} is neither the folder of a run (it has no trajectory.csv) nor a map file; odograph run makes \
                  both of a recording"
             ),
-            false => {
+            _ => {
                 format!("{shown}: there is no such folder or file; give the folder of a run, or a map file")
             }
         }));
