@@ -223,8 +223,8 @@ impl Mapping {
         Ok(corrected)
     }
 
-    /// Writes the final poses of the keyframes and the path of the run, unless the map is to stay as
-    /// it was.
+    /// Writes the final poses of the keyframes and the path of the run, unless the map is to stay
+    /// as it was.
     pub fn save(&mut self, frames: &mut KeptFrames) -> Result<()> {
         if self.is_withdrawn() {
             return Ok(());
