@@ -35,6 +35,11 @@ pub fn name(text: impl AsRef<OsStr>) -> String {
     escaped(&text.as_ref().to_string_lossy(), &[]).into_owned()
 }
 
+/// The name of a recording in a sentence.
+pub fn source(typed: &str) -> String {
+    if typed == "-" { "standard input".to_owned() } else { name(typed) }
+}
+
 /// Prints results, lines of text or JSON; names within text are those of [`name`]. A closed pipe
 /// (`odograph … | head`) is not an error.
 pub fn print(text: &str) -> Result<()> {

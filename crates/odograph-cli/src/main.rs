@@ -6,6 +6,7 @@ mod console;
 mod files;
 mod interrupt;
 mod lengths;
+mod negative_values;
 mod profiles;
 mod tips;
 mod wrong_number;
@@ -58,16 +59,6 @@ const GROUPS: [(&str, &[&str]); 5] = [
     ("More", &["completions"]),
 ];
 
-/// A command whose options take `-1` as a value, which is then refused with what they expect.
-fn with_negative_values(command: clap::Command) -> clap::Command {
-    let names: Vec<String> = command.get_subcommands().map(|inner| inner.get_name().to_owned()).collect();
-    let command = command.mut_args(|argument| {
-        let takes_values = argument.get_long().is_some() && argument.get_action().takes_values();
-        if takes_values { argument.allow_negative_numbers(true) } else { argument }
-    });
-    names.into_iter().fold(command, |command, name| command.mut_subcommand(name, with_negative_values))
-}
-
 /// Narrowest terminal that help is wrapped for. Terminals without a size say 0.
 const MIN_COLUMNS: usize = 20;
 
@@ -79,7 +70,7 @@ fn width() -> Option<usize> {
 
 /// The program's command with its commands grouped in the help.
 fn command() -> clap::Command {
-    let command = with_negative_values(Arguments::command());
+    let command = negative_values::allowed(Arguments::command());
     let command = width().into_iter().fold(command, clap::Command::term_width);
     let mut groups = String::new();
     for (heading, names) in GROUPS {
@@ -119,13 +110,13 @@ impl From<RunEnd> for Outcome {
 }
 
 fn main() -> ExitCode {
-    let matches = command().try_get_matches();
+    let typed = negative_values::joined(std::env::args_os());
+    let matches = command().try_get_matches_from(&typed);
     let arguments = match matches.and_then(|matches| Arguments::from_arg_matches(&matches)) {
         Ok(arguments) => arguments,
         Err(error) => {
             let error = wrong_number::in_words(error);
-            let arguments: Vec<_> = std::env::args_os().collect();
-            return instead_of_arguments(&tips::with_tip(error, &command(), &arguments));
+            return instead_of_arguments(&tips::with_tip(error, &command(), &typed));
         }
     };
     interrupt::listen();

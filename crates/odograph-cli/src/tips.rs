@@ -49,6 +49,18 @@ fn tip(error: &clap::Error, command: &clap::Command, arguments: &[OsString]) -> 
             if let Some(name) = single.find(|name| has(name) && unknown.strip_prefix('-') == name.get(..1)) {
                 return Some(format!("write it with two hyphens, --{name}"));
             }
+            let mut files = arguments.iter().filter(|argument| {
+                argument.to_str().is_some_and(|argument| {
+                    unknown.len() == 2 && argument.starts_with(unknown) && Path::new(argument).exists()
+                })
+            });
+            if let Some(file) = files.next() {
+                return Some(format!("it is a file or folder; write {}", quoted(&Path::new(".").join(file))));
+            }
+            if unknown.starts_with("--") && error.get(ContextKind::SuggestedArg).is_none() {
+                let names = names.iter().fold(String::new(), |all, name| format!("{all} {name}"));
+                return Some(format!("odograph{names} -h lists the options"));
+            }
             let option = match Path::new(unknown).extension()?.to_str()? {
                 "gpkg" => "map",
                 "yaml" | "yml" => "camera",
@@ -111,6 +123,7 @@ mod tests {
             ("odograph run a.mp4 -camera b.yaml", "write it with two hyphens, --camera\n"),
             ("odograph localize a.jpg b/map.gpkg", "write --map b/map.gpkg\n"),
             ("odograph undistort a.mp4 b.yaml", "write --camera b.yaml\n"),
+            ("odograph board --weather sunny", "tip: odograph board -h lists the options\n"),
         ] {
             let words: Vec<OsString> = arguments.split(' ').map(OsString::from).collect();
             let command = crate::command();

@@ -28,6 +28,7 @@ mod pose_columns;
 mod repair;
 mod schema;
 mod thinning;
+mod unfinished;
 
 pub use claim::MapClaim;
 pub use file::{MapFile, Session};
@@ -42,3 +43,4 @@ pub use outbox::{Outbox, OutgoingRecord};
 pub use paths::{KeyframeMove, PathFrame, corrected_path};
 pub use repair::{Repair, repair};
 pub use thinning::Thinning;
+pub use unfinished::UnfinishedSession;

@@ -5,7 +5,7 @@
 //! again what the killed run would have given.
 
 use crate::files;
-use crate::output::RunOutput;
+use crate::output::{MapUse, RunOutput};
 use crate::plan::RunPlan;
 use odograph::error::{Error, Result};
 use odograph_map::{MapFile, SessionOrigin};
@@ -18,6 +18,9 @@ use std::path::{Path, PathBuf};
 pub(crate) struct BegunRun {
     /// The map that it continues, an absolute path; `None` for a new one in the folder.
     pub map: Option<PathBuf>,
+    /// Whether the map is to have the run only where it is recognised in it.
+    #[serde(default)]
+    pub only_recognised: bool,
     /// The session that it adds to that map; `None` where the map is new.
     pub session: Option<u32>,
     /// The source as it was typed, which is the name of that session.
@@ -61,6 +64,7 @@ pub(crate) fn begin(
     };
     let begun = BegunRun {
         map: map.map(absolute),
+        only_recognised: matches!(output.map, MapUse::Extend(_)),
         session,
         source: output.source_name(&plan.source.path),
         robot: output.robot.clone(),

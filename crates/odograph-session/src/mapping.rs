@@ -39,6 +39,8 @@ pub struct Mapping {
     is_suspended: bool,
     /// Whether the map is to have this run only where it is recognised.
     only_recognised: bool,
+    /// Whether a run that is not recognised has a warning; a localization reports this otherwise.
+    warns: bool,
 }
 
 /// Ground sampling distance of the mosaic of a continued map, in ground pixels at the image centre:
@@ -117,6 +119,7 @@ impl Mapping {
             height_m: plan.rig.height_m,
             is_suspended: false,
             only_recognised: matches!(map, MapUse::Extend(_)),
+            warns: matches!(map, MapUse::Continue(_)) || output.resumed.is_some(),
         })
     }
 
@@ -220,8 +223,12 @@ impl Mapping {
         Ok(corrected)
     }
 
-    /// Writes the final poses of the keyframes and the path of the run.
+    /// Writes the final poses of the keyframes and the path of the run, unless the map is to stay
+    /// as it was.
     pub fn save(&mut self, frames: &mut KeptFrames) -> Result<()> {
+        if self.is_withdrawn() {
+            return Ok(());
+        }
         self.file.set_poses(&self.mapper.map().keyframes)?;
         if let Some(markers) = &self.markers {
             // Their metres are those of the keyframes, which sensors may have corrected.
@@ -235,13 +242,15 @@ impl Mapping {
         self.only_recognised && !self.mapper.is_recognised()
     }
 
-    /// A warning where the run could not be connected to the map that it continues; a localization
-    /// reports this otherwise.
+    /// A warning where the run could not be connected to the map that it continues.
     pub fn warning(&self) -> Option<String> {
-        let is_told = !self.only_recognised && self.file.kept.is_none();
-        (is_told && !self.mapper.is_recognised()).then(|| {
+        let outcome = match self.only_recognised {
+            true => "it stays as it was, and the path is",
+            false => "the path is",
+        };
+        (self.warns && !self.mapper.is_recognised()).then(|| {
             format!(
-                "nothing of {} was recognised: the path is in a frame of its own, which begins at its first frame",
+                "nothing of {} was recognised: {outcome} in a frame of its own, which begins at its first frame",
                 self.file.path.display()
             )
         })
@@ -379,9 +388,11 @@ impl Mapping {
     }
 
     /// Closes the file. Removes the map of an earlier run that this one replaces if no ground was
-    /// seen, and this run from a map in which it was not recognised, where that is asked.
+    /// seen, and this run from a map that has no keyframe of it, or in which it was not recognised,
+    /// where that is asked.
     pub fn close(&mut self) -> Result<()> {
-        let is_withdrawn = self.is_withdrawn();
+        let is_empty = self.file.kept.is_none() && self.file.origin.is_none() && self.own_places().is_empty();
+        let is_withdrawn = is_empty || self.is_withdrawn();
         match (self.file.file.take(), &self.file.claim) {
             (Some(mut file), _) if is_withdrawn => {
                 file.remove_session(self.file.session).and_then(|()| file.close())

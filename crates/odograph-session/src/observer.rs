@@ -8,14 +8,15 @@ use odograph::trajectory::FrameEstimate;
 /// Methods are called from the run's threads and should return soon. An observer does not influence
 /// results, except by a request to stop.
 pub trait Observer: Sync {
-    /// The recording is tracked again from its first frame, because camera or mount turned out to
-    /// be different; `why` is a part of a sentence. [`Observer::tracking_begins`] follows.
+    /// The recording is tracked another time from its first frame: because camera or mount turned
+    /// out to be different, or before a map is continued, when only its beginning is tracked to
+    /// examine it. `why` is a part of a sentence. [`Observer::tracking_begins`] follows.
     fn tracking_again(&self, why: &str) {
         let _ = why;
     }
 
-    /// Tracking begins; `frames` is the number of frames to come, where the source knows it. Called
-    /// once more after each [`Observer::tracking_again`].
+    /// Tracking begins, at the first frame; `frames` is the number of frames to come, where it is
+    /// known. Called once more for each [`Observer::tracking_again`].
     fn tracking_begins(&self, frames: Option<u64>) {
         let _ = frames;
     }

@@ -6,10 +6,13 @@ use crate::plan::RunPlan;
 use odograph::error::Result;
 use odograph::motion::MotionModel;
 use odograph::self_calibration::{CameraDifference, CameraMonitor, MultiPassCalibration};
+use odograph::trajectory::FrameEstimate;
 
 /// Number of pairs of views at the beginning of a recording that are examined before a map is
 /// continued: more show a smaller difference, but these frames are tracked twice.
 const EXAMINED_PAIRS: usize = 32;
+/// What an observer is told of the examination.
+const EXAMINING: &str = "examining the beginning";
 
 /// The camera of the plan. What cannot be read twice is tracked once, whatever is found; nothing is
 /// calibrated where the plan fixes the motion model.
@@ -56,8 +59,14 @@ fn difference_at_beginning(
 ) -> Result<Option<CameraDifference>> {
     let mut source = plan.source.open()?;
     let mut odometry = plan.odometry()?;
+    let pose_frame = plan.pose_frame()?;
+    observer.tracking_again(EXAMINING);
+    // The examination ends with the views that it needs, which no number of frames says.
+    observer.tracking_begins(None);
     while let Some(frame) = source.next_frame()? {
         let estimate = odometry.process(frame.gray, frame.time_s)?;
+        let estimate = FrameEstimate { frame: frame.number, ..estimate };
+        observer.frame(&pose_frame.frame(&estimate));
         let difference = monitor.watch(&estimate, &odometry);
         if difference.is_some() || monitor.pairs() >= EXAMINED_PAIRS || observer.is_stop_asked() {
             return Ok(difference);

@@ -6,6 +6,7 @@ use crate::{files, mask};
 use odograph::camera::{Camera, LeverArm, Rig};
 use odograph::error::{Error, Result};
 use odograph::fixed_pattern::NonuniformityCorrection;
+use odograph::formats::rig_file;
 use odograph::loop_closure::LoopClosureConfig;
 use odograph::odometry::{Odometry, OdometryConfig};
 use odograph::pose_frame::{BaseLink, PoseFrame};
@@ -216,8 +217,16 @@ impl RunPlan {
     pub fn read(path: &Path) -> Result<Self> {
         let text = files::read_text(path)?;
         let plan: Self = toml::from_str(&text).map_err(|error| {
+            let shown = path.display();
+            if rig_file::parse(&text).is_ok() {
+                return Error::input(format!(
+                    "{shown} is a rig file, not the run.toml of a run; give it with --rig, beside a recording"
+                ));
+            }
             let why = error.message().replace('\n', ", ");
-            Error::input(format!("{} is not the run.toml of a run: {why}", path.display())).caused_by(error)
+            // The list of all names in a run.toml says nothing of another file.
+            let why = why.split(", expected one of").next().unwrap_or_default();
+            Error::input(format!("{shown} is not the run.toml of a run: {why}")).caused_by(error)
         })?;
         Ok(plan.validated(path)?.brought_from(path.parent().unwrap_or(Path::new(""))))
     }

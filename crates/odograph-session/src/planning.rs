@@ -15,6 +15,10 @@ use odograph::odometry::OdometryConfig;
 use odograph_map::MapFile;
 use std::path::Path;
 
+/// Least width and height of a frame. Corners are found by windows and margins of about as many
+/// pixels.
+const LEAST_SIDE_PX: usize = 16;
+
 impl RunBuilder {
     /// The plan over a source that `open` opens; it also returns the size in pixels.
     pub(crate) fn plan_over<S>(
@@ -75,6 +79,13 @@ impl RunBuilder {
 
     /// Fails if the camera is not calibrated for frames of this size, pixels.
     fn check_size(&self, camera: &Camera, size: (usize, usize)) -> Result<()> {
+        if size.0.min(size.1) < LEAST_SIDE_PX {
+            return Err(Error::input(format!(
+                "the frames of {} are {}x{} pixels, too small to track anything in: {LEAST_SIDE_PX} are needed in \
+                 each direction, 320x240 is good",
+                self.source.path, size.0, size.1
+            )));
+        }
         if (camera.width(), camera.height()) == size {
             return Ok(());
         }

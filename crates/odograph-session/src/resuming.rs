@@ -41,14 +41,18 @@ impl RunBuilder {
                  odograph view shows what it has",
             ));
         }
-        let BegunRun { map, session, source, robot, key, bag, video, plan } = BegunRun::read(folder)?;
+        let BegunRun { map, only_recognised, session, source, robot, key, bag, video, plan } =
+            BegunRun::read(folder)?;
         let mut run = Self::over(plan.source.clone()).folder(folder).overwriting(true);
         let mut half = None;
         if let Some(map) = map {
             let left = HalfSession { session, source: source.clone() };
             left.is_in(&map)?;
             half = Some(left);
-            run.output.map = MapUse::Continue(map);
+            run.output.map = match only_recognised {
+                true => MapUse::Extend(map),
+                false => MapUse::Continue(map),
+            };
         }
         run.output.resumed = Some(ResumedSession { source, key, half });
         run.output.robot = robot;

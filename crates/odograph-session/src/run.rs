@@ -16,7 +16,7 @@ use crate::reference;
 use crate::report::RunReporter;
 use odograph::error::{Error, Result};
 use odograph::self_calibration::MultiPassCalibration;
-use odograph_map::MapFile;
+use odograph_map::{MapFile, UnfinishedSession};
 use odograph_video::{Source, SourceInfo};
 use std::fmt;
 use std::fs;
@@ -77,6 +77,7 @@ impl RunBuilder {
         {
             half.remove(claim)?;
         }
+        self.tell_unfinished(observer)?;
         Ok(Run {
             plan,
             source,
@@ -85,6 +86,23 @@ impl RunBuilder {
             reporter: self.reporter.clone(),
             temporary,
         })
+    }
+
+    /// Notes the sessions of killed runs in a map that this run adds to.
+    fn tell_unfinished(&self, observer: &dyn Observer) -> Result<()> {
+        let map = &self.output.map;
+        let Some(path) = map.path().filter(|path| !map.is_read_only() && MapFile::is_there(path)) else {
+            return Ok(());
+        };
+        for session in MapFile::open_read_only(path)?.unfinished_sessions()? {
+            let UnfinishedSession { id, source, keyframes } = session;
+            let shown = path.display();
+            observer.note(&format!(
+                "session {id} of {shown} ({source}) did not end; its keyframes, {keyframes}, are used like the others \
+                 (odograph map repair {shown} --drop-unfinished writes the map without them)"
+            ));
+        }
+        Ok(())
     }
 
     /// Opens the run and follows its source to the end: [`RunBuilder::open`], then [`Run::follow`].

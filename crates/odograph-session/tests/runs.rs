@@ -151,9 +151,25 @@ fn a_picture_is_found_in_a_map_that_stays_as_it_is() {
     assert_eq!(fs::read(&map).unwrap(), before);
     // Without a folder the results were in a temporary one.
     assert!(!outcome.folder.exists());
-    let continued = clip::run(40).map(MapUse::Continue(map.clone())).run(&()).unwrap();
+    let observer = Listening::default();
+    let continued = clip::run(40).map(MapUse::Continue(map.clone())).run(&observer).unwrap();
     assert!(continued.place.is_some());
     assert_eq!(continued.written.last(), Some(&map));
+    // The frames of the examination are heard of like those of the run.
+    let heard = observer.heard.into_inner().unwrap();
+    assert_eq!(heard[..3], ["examining the beginning", "begins false", "begins true"], "{heard:?}");
+    assert!((41..=80).contains(&observer.frames.into_inner()));
+}
+
+#[test]
+fn a_run_that_is_stopped_at_once_leaves_no_session_in_a_map() {
+    let folder = tempfile::tempdir().unwrap();
+    clip::run(40).folder(folder.path()).run(&()).unwrap();
+    let map = folder.path().join("map.gpkg");
+    let stopping = Listening { stops_after: Some(1), ..Listening::default() };
+    let outcome = clip::run(40).map(MapUse::Continue(map.clone())).run(&stopping).unwrap();
+    assert_eq!((outcome.end, outcome.statistics.frames), (RunEnd::Interrupted, 0));
+    assert_eq!(odograph_map::MapFile::open_read_only(&map).unwrap().sessions().unwrap().len(), 1);
 }
 
 #[test]

@@ -100,13 +100,14 @@ pub fn localize(arguments: LocalizeArguments) -> Result<Outcome> {
     let mut report = followed(&arguments, source.clone(), extends, arguments.force, &observer)?;
     let is_extended = extends && report.place.is_some();
     let is_interrupted = report.end == RunEnd::Interrupted;
-    if extends && !is_extended && !is_interrupted && Path::new(&source.path).exists() {
+    let path = Path::new(&source.path);
+    if extends && !is_extended && !is_interrupted && (path.is_file() || path.is_dir()) {
         // One sighting does not extend a map, and is enough for a place.
-        report = followed(&arguments, source, false, true, &observer)?;
+        report = followed(&arguments, source.clone(), false, true, &observer)?;
     }
     print_result(&arguments, &report)?;
     if arguments.extend && !is_extended && !is_interrupted && !arguments.quiet {
-        tell_not_extended(&arguments.map);
+        tell_not_extended(&arguments.map, path.is_file() || path.is_dir());
     }
     Ok(match (report.place, Outcome::from(report.end)) {
         (_, Outcome::Interrupted) => Outcome::Interrupted,
@@ -153,10 +154,15 @@ fn is_one_picture(source: &SourcePlan) -> Result<bool> {
 }
 
 /// Says that a map that was to be extended was not, and why.
-fn tell_not_extended(map: &Path) {
+fn tell_not_extended(map: &Path, is_read_again: bool) {
+    // A file is followed a second time for its place alone.
+    let place = match is_read_again {
+        true => "",
+        false => "; for a place alone one sighting is enough, send it again without --extend",
+    };
     console::warn(&format!(
         "{} was not extended: that needs two sightings of different ground that agree; extend it with a recording \
-         that drives on over mapped ground",
+         that drives on over mapped ground{place}",
         console::name(map)
     ));
 }
@@ -207,9 +213,12 @@ fn print_result(arguments: &LocalizeArguments, report: &RunOutcome) -> Result<()
         tell_warnings(report, "");
     }
     if report.place.is_none() && report.end == RunEnd::Interrupted {
-        console::error(&format!("interrupted before {} was found in the map", arguments.source));
+        console::error(&format!(
+            "interrupted before {} was found in the map",
+            console::source(&arguments.source)
+        ));
     } else if report.place.is_none() {
-        console::error(&verdict.sentence(&arguments.source, &arguments.map, alike.len()));
+        console::error(&verdict.sentence(&console::source(&arguments.source), &arguments.map, alike.len()));
     }
     Ok(())
 }
@@ -257,7 +266,7 @@ fn sentence(place: &PoseInMap, source: Option<String>, frames: u64) -> String {
         1 => String::new(),
         _ => format!("at frame {} ({:.2} s): ", place.frame, place.time_s),
     };
-    let source = source.map_or(String::new(), |source| format!(" ({})", console::name(source)));
+    let source = source.map_or(String::new(), |source| format!(" ({})", console::source(&source)));
     format!(
         "{at}x {} m ± {} mm, y {} m ± {} mm, heading {}° ± {}° (one standard deviation)\n\
          nearest: keyframe {}, {:.3} m away, of session {}{source}\n",

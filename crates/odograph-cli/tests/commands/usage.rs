@@ -77,6 +77,21 @@ fn a_page_is_served_at_what_people_type() {
         view.wait().unwrap();
         assert!(line.starts_with(begins) && !line.contains("0.0.0.0"), "{address}: {line}");
     }
+    // A file of a run stands for the run.
+    for file in ["report.html", "run.toml", "mosaic.png"] {
+        let mut view = Command::new(env!("CARGO_BIN_EXE_odograph"))
+            .args(["view", file, "--serve", ":0"])
+            .current_dir(folder.join("drive"))
+            .stderr(Stdio::piped())
+            .spawn()
+            .unwrap();
+        let lines: Vec<String> =
+            BufReader::new(view.stderr.take().unwrap()).lines().take(2).map(Result::unwrap).collect();
+        view.kill().unwrap();
+        view.wait().unwrap();
+        assert!(lines[0].starts_with(&format!("note: {file} is a file of a run")), "{lines:?}");
+        assert!(lines[1].starts_with("note: look at http://127.0.0.1:"), "{lines:?}");
+    }
     for address in ["hello", "99999", "http://localhost:8080"] {
         let refused = odograph(folder, &["view", "drive", "--serve", address]);
         let message = message(&refused);
@@ -220,8 +235,8 @@ fn ros_2_is_another_build_of_the_program() {
         let refused = odograph(temporary.path(), &arguments);
         let asked = if option.is_empty() { source } else { option.split('=').next().unwrap() };
         let sentence = format!(
-            "error: {asked}: this program is built without ROS 2; `cargo install --path crates/odograph-cli --features \
-             ros2` builds it with ROS 2\n"
+            "error: {asked}: this program is built without ROS 2; `cargo install --locked --path crates/odograph-cli \
+             --features ros2` builds it with ROS 2\n"
         );
         assert_eq!((refused.status.code(), message(&refused)), (Some(2), sentence));
     }

@@ -5,7 +5,7 @@ use odograph::camera::{Camera, Distortion, LeverArm, Rig};
 use odograph::ground_map::{KeyframeImage, KeyframeImages, MountedCamera};
 use odograph::image::GrayImage;
 use odograph::keyframe::{EdgeKind, KeyframeId, MapEdge};
-use odograph_map::{MapFile, Outbox, OutgoingRecord, PathFrame, SessionOrigin, repair};
+use odograph_map::{MapFile, Outbox, OutgoingRecord, PathFrame, SessionOrigin, UnfinishedSession, repair};
 use std::path::Path;
 
 fn other() -> MountedCamera {
@@ -45,6 +45,25 @@ fn with_two_cameras(path: &Path) {
     assert!(wrong.contains("160x120 pixels, the map's camera 96x72"), "{wrong}");
     map.close().unwrap();
     assert_eq!(version(path), 2);
+}
+
+#[test]
+fn a_session_without_a_path_did_not_end() {
+    let folder = tempfile::tempdir().unwrap();
+    let mut map = MapFile::create(&folder.path().join("map.gpkg"), &camera(), &Rig::level(0.5)).unwrap();
+    let ended = map.begin_session("a.mp4").unwrap();
+    map.add_keyframe(&keyframe(0, ended), &image(0), &[]).unwrap();
+    map.set_path(ended, &[PathFrame { frame: 0, segment: 0, time_s: 0.0, pose: pose(0) }]).unwrap();
+    let killed = map.begin_session("b.mp4").unwrap();
+    for number in [1, 2] {
+        map.add_keyframe(&keyframe(number, killed), &image(number), &[edge_to(number)]).unwrap();
+    }
+    // One that saw nothing, and one of a robot, as a site has them.
+    map.begin_session("c.mp4").unwrap();
+    let robot = map.begin_session_by(&SessionOrigin::new("cart-2").unwrap(), "d.mp4", None).unwrap();
+    map.add_keyframe(&keyframe(3, robot), &image(3), &[]).unwrap();
+    let left = UnfinishedSession { id: killed, source: "b.mp4".to_owned(), keyframes: 2 };
+    assert_eq!(map.unfinished_sessions().unwrap(), [left]);
 }
 
 fn check_two_cameras(map: &mut MapFile) {

@@ -81,7 +81,11 @@ pub fn open_live_input(
         return Ok(never_late(Box::new(stream)));
     }
     let streams = name == "-";
-    if !streams && !name.contains("://") && !Path::new(name).exists() {
+    let is_there = || match Path::new(name).try_exists() {
+        Err(error) => Err(Error::input(format!("{name} cannot be opened: {error}")).caused_by(error)),
+        Ok(is_there) => Ok(is_there),
+    };
+    if !streams && !name.contains("://") && !is_there()? {
         return Err(Error::input(format!(
             "{name}: there is no such file or camera; odograph cameras lists the cameras of this machine"
         )));

@@ -47,10 +47,11 @@ impl Rig {
     pub fn validated(self) -> Result<Self> {
         let Self { height_m, roll_rad, pitch_rad, yaw_rad, lever_arm } = self;
         if !Self::HEIGHTS_M.contains(&height_m) {
-            return Err(Error::usage(format!(
-                "the height is {} m; a camera above the ground is between 1 µm and 10 km high",
-                readable(height_m)
-            )));
+            let expected = match height_m < 0.0 {
+                true => "it is measured from the ground up to the camera, so write it without the sign",
+                false => "a camera above the ground is between 1 µm and 10 km high",
+            };
+            return Err(Error::usage(format!("the height is {} m; {expected}", readable(height_m))));
         }
         for (name, value) in [("roll", roll_rad), ("pitch", pitch_rad), ("yaw", yaw_rad)] {
             if !value.is_finite() {

@@ -4,7 +4,7 @@ use crate::{Outcome, console};
 use odograph::error::{Error, Result};
 use odograph::ground_map::GroundMap;
 use odograph::keyframe::{EdgeKind, KeyframeId};
-use odograph_map::{MapFile, MapLandmark, PathFrame, SessionOrigin};
+use odograph_map::{MapClaim, MapFile, MapLandmark, PathFrame, SessionOrigin};
 use serde::Serialize;
 use std::collections::BTreeMap;
 use std::fmt::Write;
@@ -78,6 +78,8 @@ struct SessionInfo {
     keyframes: usize,
     frames: usize,
     path_m: f64,
+    /// Whether its run did not end, and left no path.
+    unfinished: bool,
     start_s: Option<f64>,
     end_s: Option<f64>,
     /// Who made it, where the robot has a name.
@@ -127,6 +129,7 @@ pub fn info(arguments: &MapInfoArguments) -> Result<Outcome> {
 
 fn gathered(file: &MapFile) -> Result<MapInfo> {
     let map = file.map()?;
+    let unfinished: Vec<u32> = file.unfinished_sessions()?.iter().map(|session| session.id).collect();
     let sessions = file
         .sessions()?
         .into_iter()
@@ -153,6 +156,7 @@ fn gathered(file: &MapFile) -> Result<MapInfo> {
                 keyframes: map.keyframes.iter().filter(|keyframe| keyframe.session == session.id).count(),
                 frames: path.len(),
                 path_m: length_m(&path),
+                unfinished: unfinished.contains(&session.id),
                 start_s: path.first().map(|frame| frame.time_s),
                 end_s: path.last().map(|frame| frame.time_s),
             })
@@ -306,13 +310,16 @@ fn described(info: &MapInfo, checked: bool) -> String {
             text,
             "session {}  {}: {} keyframe{}, {} frame{}, {:.2} m",
             session.id,
-            console::name(&session.source),
+            console::source(&session.source),
             session.keyframes,
             if session.keyframes == 1 { "" } else { "s" },
             session.frames,
             if session.frames == 1 { "" } else { "s" },
             session.path_m
         );
+        if session.unfinished {
+            let _ = writeln!(text, "           {}", unfinished(info));
+        }
         if let Some(origin) = &session.origin {
             let numbers = match (origin.first_number, origin.last_number) {
                 (Some(first), Some(last)) => format!(", keyframes {first} to {last}"),
@@ -336,6 +343,18 @@ fn described(info: &MapInfo, checked: bool) -> String {
         text.push_str("checked    no damage found\n");
     }
     text
+}
+
+/// What there is to know of a session whose run did not end.
+fn unfinished(info: &MapInfo) -> String {
+    let shown = console::name(&info.file);
+    match MapClaim::is_held(Path::new(&info.file)) {
+        true => "is being recorded, or its run was killed; a path is written at the end of a run".to_owned(),
+        false => format!(
+            "did not end: it has no path, its keyframes are used; odograph run --resume FOLDER (its results) runs it\n\
+             \x20          again, odograph map repair {shown} --drop-unfinished writes the map without it"
+        ),
+    }
 }
 
 /// Size of a file, bytes; 0 where there is none.

@@ -105,7 +105,8 @@ pub struct RunArguments {
     /// How progress is shown on standard error.
     ///
     /// A line of JSON every 30 frames: {"frames":30,"lost":0,"of":1083}. `of` is null where the
-    /// number of frames is not known; the count begins again where the run does.
+    /// number of frames is not known, as while the beginning of a recording is examined before a
+    /// map is continued; the count begins again where tracking does.
     #[arg(help_heading = "Results", long, value_name = "FORM", default_value = "bar")]
     pub progress: Progress,
     /// Write poses, transforms and diagnostics as ROS 2 messages into an MCAP file.

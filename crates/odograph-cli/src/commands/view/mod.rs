@@ -7,7 +7,9 @@ use crate::{Outcome, console, files};
 use odograph::error::{Error, Result};
 use odograph::mosaic::Mosaic;
 use odograph_live::{GroundPicture, Hub, Introduction, Mark, Phase, Status, TiledGround, TrackRecord};
+use odograph_map::MapFile;
 use odograph_session::{RunPlan, UnfinishedRun};
+use std::io::ErrorKind;
 use std::path::{Path, PathBuf};
 use std::sync::atomic::{AtomicBool, Ordering};
 use std::sync::{Arc, Mutex};
@@ -18,6 +20,8 @@ use std::sync::{Arc, Mutex};
 #[derive(Debug, clap::Args)]
 pub struct ViewArguments {
     /// The folder of a run, of `run` or `live`, also of one that was killed; or a map file.
+    ///
+    /// Of a file in the folder of a run, such as report.html, the run is shown.
     #[arg(value_name = "FOLDER|MAP")]
     pub folder: PathBuf,
     #[command(flatten)]
@@ -37,14 +41,18 @@ pub fn view(arguments: ViewArguments) -> Result<Outcome> {
     let mut serve = arguments.serve.clone();
     serve.serve.get_or_insert_with(|| ([127, 0, 0, 1], 8080).into());
     let ended = Arc::new(AtomicBool::new(false));
-    let serving = if arguments.folder.is_file() {
-        serve_map(&arguments.folder, &serve, &ended)?
-    } else {
-        serve_run(&arguments.folder, &serve)?
+    let run = run_of_file(&arguments.folder);
+    let shown = run.as_deref().unwrap_or(&arguments.folder);
+    let serving = match shown.is_file() {
+        true => serve_map(shown, &serve, &ended)?,
+        false => serve_run(shown, &serve)?,
     };
-    if let Some(unfinished) = UnfinishedRun::in_folder(&arguments.folder).filter(|_| !arguments.quiet) {
-        let shown = arguments.folder.display();
-        console::note(&format!("{shown} {}", unfinished.description(&arguments.folder)));
+    if run.is_some() && !arguments.quiet {
+        let file = console::name(&arguments.folder);
+        console::note(&format!("{file} is a file of a run; the page shows the whole run"));
+    }
+    if let Some(unfinished) = UnfinishedRun::in_folder(shown).filter(|_| !arguments.quiet) {
+        console::note(&format!("{} {}", shown.display(), unfinished.description(shown)));
     }
     if !arguments.quiet {
         serving.print_address(" (Ctrl-C ends)");
@@ -52,6 +60,17 @@ pub fn view(arguments: ViewArguments) -> Result<Outcome> {
     serving.stay();
     ended.store(true, Ordering::Relaxed);
     Ok(Outcome::Done)
+}
+
+/// The folder of the run that a file is of, such as its `report.html`; `None` for a map.
+fn run_of_file(file: &Path) -> Option<PathBuf> {
+    let folder = match file.parent()? {
+        here if here == Path::new("") => Path::new("."),
+        folder => folder,
+    };
+    let is_map =
+        || file.extension().is_some_and(|ending| ending == "gpkg") || MapFile::open_read_only(file).is_ok();
+    (file.is_file() && folder.join("trajectory.csv").is_file() && !is_map()).then(|| folder.to_owned())
 }
 
 /// What the page calls it.
@@ -132,12 +151,15 @@ fn records(folder: &Path) -> Result<Vec<TrackRecord>> {
     let table = if growing.metadata().is_ok_and(|file| file.len() > 0) { growing } else { table };
     if !table.is_file() {
         let shown = folder.display();
-        return Err(Error::input(match folder.exists() {
-            true => format!(
+        return Err(Error::input(match folder.read_dir() {
+            Err(error) if error.kind() == ErrorKind::PermissionDenied => {
+                format!("{shown} cannot be read: {error}")
+            }
+            _ if folder.exists() => format!(
                 "{shown} is neither the folder of a run (it has no trajectory.csv) nor a map file; odograph run makes \
                  both of a recording"
             ),
-            false => {
+            _ => {
                 format!("{shown}: there is no such folder or file; give the folder of a run, or a map file")
             }
         }));

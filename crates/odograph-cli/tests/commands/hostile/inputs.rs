@@ -189,6 +189,12 @@ fn invalid_usage_is_refused() {
     fs::write(place.path("drive.y4m"), y4m(6)).unwrap();
     let usual = "drive.y4m --camera camera.yaml -o out";
     place.refused(&format!("{usual} --height -1"), 2, "the height is -1 m");
+    place.refused(
+        &format!("{usual} --height -1m"),
+        2,
+        "the height is -1 m; it is measured from the ground up",
+    );
+    place.refused(&format!("{usual} --height -.75"), 2, "so write it without the sign");
     place.refused(&format!("{usual} --height 0"), 2, "the height is 0 m");
     place.refused(&format!("{usual} --height nan"), 2, "the height is NaN m");
     place.refused(&format!("{usual} --height inf"), 2, "the height is inf m");

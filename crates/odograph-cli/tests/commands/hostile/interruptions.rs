@@ -110,7 +110,12 @@ fn a_killed_run_leaves_the_frames_so_far() {
 
 /// Starts a run over `drive.y4m`, and kills it when a block of frames is on disk.
 fn kill(place: &HostileFolder, arguments: &str) {
-    let mut command = place.command(&format!("drive.y4m --camera camera.yaml --height 1 -o out {arguments}"));
+    let usual = format!("drive.y4m --camera camera.yaml --height 1 -o out {arguments}");
+    kill_on_disk(place, place.command(&usual));
+}
+
+/// Starts a command that writes the folder `out`, and kills it when a block of frames is on disk.
+fn kill_on_disk(place: &HostileFolder, mut command: Command) {
     let mut child = command.stdout(Stdio::null()).stderr(Stdio::null()).spawn().unwrap();
     let part = place.path("out/trajectory.csv.part");
     while fs::metadata(&part).map_or(0, |metadata| metadata.len()) == 0 {
@@ -174,6 +179,90 @@ fn a_run_again_replaces_its_half_in_the_map() {
     assert!(place.run("drive.y4m -o other --map hall.gpkg -q").status.success());
     let message = "hall.gpkg has been continued since this run was killed";
     assert_refused(&place.run("--resume out"), 3, message, "a map that others have continued");
+}
+
+/// A stream of the same floor, mirrored: other ground.
+fn mirrored(frames: usize) -> Vec<u8> {
+    let (header, rows) = (y4m(0).len(), 240);
+    let mut stream = y4m(frames);
+    for frame in stream[header..].chunks_exact_mut("FRAME\n".len() + 320 * rows) {
+        let pixels = &mut frame["FRAME\n".len()..];
+        let turned: Vec<u8> = pixels.rchunks_exact(320).flatten().copied().collect();
+        pixels.copy_from_slice(&turned);
+    }
+    stream
+}
+
+#[test]
+fn a_killed_localization_leaves_a_session_that_is_told_and_removed() {
+    let place = HostileFolder::new();
+    fs::write(place.path("mapped.y4m"), y4m(40)).unwrap();
+    fs::write(place.path("drive.y4m"), mirrored(150)).unwrap();
+    assert!(place.run("mapped.y4m --camera camera.yaml --height 1 -o out -q").status.success());
+    fs::rename(place.path("out/map.gpkg"), place.path("hall.gpkg")).unwrap();
+    fs::remove_dir_all(place.path("out")).unwrap();
+    let odograph = |arguments: &str| {
+        let mut command = Command::new(env!("CARGO_BIN_EXE_odograph"));
+        command.args(arguments.split(' ')).current_dir(place.path("")).stdin(Stdio::null());
+        command
+    };
+    let said = |arguments: &str| {
+        let done = odograph(arguments).output().unwrap();
+        assert!(done.status.success(), "{arguments}: {}", String::from_utf8_lossy(&done.stderr));
+        String::from_utf8([done.stdout, done.stderr].concat()).unwrap()
+    };
+    let whole = said("map info hall.gpkg");
+    kill_on_disk(&place, odograph("localize drive.y4m --map hall.gpkg --extend -o out"));
+    let info = said("map info hall.gpkg");
+    assert!(info.contains("session 1  drive.y4m") && info.contains("did not end: it has no path"), "{info}");
+    let sound = said("map repair hall.gpkg");
+    assert!(
+        sound.contains("no damage found") && sound.contains("session 1 (drive.y4m) did not end"),
+        "{sound}"
+    );
+    let without = said("map repair hall.gpkg --drop-unfinished");
+    assert!(without.contains("of a session that did not end left out\nhall-repaired.gpkg\n"), "{without}");
+    let content = |info: &str| info.lines().skip(1).map(str::to_owned).collect::<Vec<_>>();
+    assert_eq!(content(&said("map info hall-repaired.gpkg")), content(&whole));
+    let nothing = said("map repair hall-repaired.gpkg --drop-unfinished");
+    assert!(nothing.contains("every session ended; nothing was written"), "{nothing}");
+    // Continued, it is told. Run again, it leaves the map as it was, where nothing is recognised.
+    fs::copy(place.path("hall.gpkg"), place.path("copy.gpkg")).unwrap();
+    for log in ["-wal", "-shm"] {
+        let _ = fs::copy(place.path(&format!("hall.gpkg{log}")), place.path(&format!("copy.gpkg{log}")));
+    }
+    let continued = said("run mapped.y4m --map copy.gpkg -o more");
+    assert!(continued.contains("note: session 1 of copy.gpkg (drive.y4m) did not end"), "{continued}");
+    let again = said("run --resume out");
+    assert!(again.contains("was recognised: it stays as it was"), "{again}");
+    assert_eq!(content(&said("map info hall.gpkg")), content(&whole));
+}
+
+#[test]
+fn a_stream_extends_a_map_or_says_why_not() {
+    let place = HostileFolder::new();
+    fs::write(place.path("mapped.y4m"), y4m(90)).unwrap();
+    assert!(place.run("mapped.y4m --camera camera.yaml --height 1 -o out -q").status.success());
+    for (frames, code, words) in [
+        (y4m(90), 0, "of session "),
+        (mirrored(40), 4, "not found: standard input"),
+        (y4m(2), 4, "send it again without"),
+    ] {
+        let mut child = Command::new(env!("CARGO_BIN_EXE_odograph"))
+            .args(["localize", "-", "--map", "out/map.gpkg", "--extend"])
+            .current_dir(place.path(""))
+            .stdin(Stdio::piped())
+            .stdout(Stdio::piped())
+            .stderr(Stdio::piped())
+            .spawn()
+            .unwrap();
+        child.stdin.take().unwrap().write_all(&frames).unwrap();
+        let done = child.wait_with_output().unwrap();
+        let said = String::from_utf8([done.stdout, done.stderr].concat()).unwrap();
+        assert_eq!(done.status.code(), Some(code), "{said}");
+        assert!(said.contains(words), "{said}");
+        assert_eq!(said.contains("map.gpkg was not extended"), code == 4, "{said}");
+    }
 }
 
 /// A full pipe: who writes into it waits.

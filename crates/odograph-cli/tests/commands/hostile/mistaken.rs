@@ -6,7 +6,7 @@ use std::fs;
 use std::process::{Command, Stdio};
 
 /// Call, exit code, and what its message contains.
-const CALLS: [(&str, i32, &str); 27] = [
+const CALLS: [(&str, i32, &str); 30] = [
     (
         "ground ran --camera camera.yaml --height 1 -o r.toml",
         3,
@@ -50,6 +50,9 @@ const CALLS: [(&str, i32, &str); 27] = [
         3,
         "letter: this is a text file, not a recording; give a video",
     ),
+    ("run rig.toml", 3, "rig.toml is a rig file, not the run.toml of a run; give it with --rig"),
+    ("run dot.y4m --field-of-view 1x1 -o out", 3, "the frames of dot.y4m are 1x1 pixels, too small"),
+    ("doctor dot.y4m --field-of-view 1x1", 3, "the frames of dot.y4m are 1x1 pixels, too small"),
     ("doctor films", 3, "give the video drive.mp4 that is in it"),
     ("run drive.y4m --camera camera.yaml --height 1 -o drive.y4m", 2, "drive.y4m is the recording itself"),
     (
@@ -84,6 +87,8 @@ fn a_mistaken_file_is_named_with_what_to_give_instead() {
     for (name, text) in [("letter", "Dear Sir,\n"), ("rig.toml", "height_m = 1\n"), ("two.txt", "0\n1\n")] {
         fs::write(place.path(name), text).unwrap();
     }
+    let dot = [&b"YUV4MPEG2 W1 H1 F30:1 Ip A1:1 Cmono\n"[..], &b"FRAME\n\x80".repeat(12)].concat();
+    fs::write(place.path("dot.y4m"), dot).unwrap();
     fs::create_dir(place.path("films")).unwrap();
     fs::write(place.path("films/drive.mp4"), CAMERA).unwrap();
     for (call, code, words) in CALLS {

@@ -24,7 +24,7 @@ impl Ros2Run {
         };
         asked.map_or(Ok(None), |asked| {
             Err(Error::usage(format!(
-                "{asked}: this program is built without ROS 2; `cargo install --path crates/odograph-cli --features ros2` \
+                "{asked}: this program is built without ROS 2; `cargo install --locked --path crates/odograph-cli --features ros2` \
                  builds it with ROS 2"
             )))
         })
