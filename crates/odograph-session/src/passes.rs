@@ -11,7 +11,7 @@ use odograph::trajectory::FrameEstimate;
 /// Number of pairs of views at the beginning of a recording that are examined before a map is
 /// continued: more show a smaller difference, but these frames are tracked twice.
 const EXAMINED_PAIRS: usize = 32;
-/// What an observer is told of the examination.
+/// Why an observer sees the beginning twice.
 const EXAMINING: &str = "examining the beginning";
 
 /// The camera of the plan. What cannot be read twice is tracked once, whatever is found; nothing is

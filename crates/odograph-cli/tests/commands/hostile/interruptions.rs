@@ -194,7 +194,7 @@ fn mirrored(frames: usize) -> Vec<u8> {
 }
 
 #[test]
-fn a_killed_localization_leaves_a_session_that_is_told_and_removed() {
+fn a_killed_localization_leaves_a_session_that_is_reported_and_removed() {
     let place = HostileFolder::new();
     fs::write(place.path("mapped.y4m"), y4m(40)).unwrap();
     fs::write(place.path("drive.y4m"), mirrored(150)).unwrap();
@@ -226,7 +226,8 @@ fn a_killed_localization_leaves_a_session_that_is_told_and_removed() {
     assert_eq!(content(&said("map info hall-repaired.gpkg")), content(&whole));
     let nothing = said("map repair hall-repaired.gpkg --drop-unfinished");
     assert!(nothing.contains("every session ended; nothing was written"), "{nothing}");
-    // Continued, it is told. Run again, it leaves the map as it was, where nothing is recognised.
+    // A run that continues the map reports it. Resumed, it leaves the map as it was, where nothing
+    // is recognised.
     fs::copy(place.path("hall.gpkg"), place.path("copy.gpkg")).unwrap();
     for log in ["-wal", "-shm"] {
         let _ = fs::copy(place.path(&format!("hall.gpkg{log}")), place.path(&format!("copy.gpkg{log}")));
