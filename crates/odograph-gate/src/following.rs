@@ -53,6 +53,9 @@ fn pass(
     if let Some(correction) = correction {
         odometry = odometry.with_correction(correction.clone());
     }
+    if calibration.uneven_ground {
+        odometry = odometry.with_uneven_ground();
+    }
     let mut mapper = (follow == Follow::Mapped).then(|| {
         odometry.record_keyframes();
         (Mapper::new(camera, *rig, config, LoopClosureConfig::default()), MemoryImages::default())

@@ -21,6 +21,7 @@ pub fn calibration_of(plan: &RunPlan) -> MultiPassCalibration {
         std::fs::metadata(&plan.source.path).is_ok_and(|there| there.is_file() || there.is_dir());
     let mut calibration = MultiPassCalibration::new(plan.camera.clone(), plan.rig);
     calibration.correction = plan.correction.clone();
+    calibration.uneven_ground = plan.uneven_ground;
     calibration.calibrates = readable_again && plan.odometry.motion.model == MotionModel::Auto;
     calibration.corrects_pattern = readable_again;
     calibration
@@ -31,6 +32,7 @@ pub fn assume(plan: &mut RunPlan, calibration: &MultiPassCalibration) {
     plan.camera = calibration.camera.clone();
     plan.rig = calibration.rig;
     plan.correction = calibration.correction.clone();
+    plan.uneven_ground = calibration.uneven_ground;
 }
 
 /// A continued map keeps what a run adds, so the beginning of the recording is examined before the

@@ -45,6 +45,9 @@ pub struct RunPlan {
     /// Fixed-pattern noise of the camera, where an earlier pass over the same frames found some.
     #[serde(skip)]
     pub correction: Option<NonuniformityCorrection>,
+    /// Whether the ground is taken to be uneven from the first frame on.
+    #[serde(skip)]
+    pub uneven_ground: bool,
     #[serde(default, skip_serializing_if = "SensorFiles::is_empty")]
     /// The other sensors.
     pub sensors: SensorFiles,
@@ -203,6 +206,9 @@ impl RunPlan {
         let mut odometry = Odometry::new(self.camera.clone(), self.rig, self.odometry)?;
         if let Some(correction) = &self.correction {
             odometry = odometry.with_correction(correction.clone());
+        }
+        if self.uneven_ground {
+            odometry = odometry.with_uneven_ground();
         }
         match &self.mask {
             Some(path) => odometry.with_mask(&mask::read(path)?).map_err(|error| error.at(path.display())),

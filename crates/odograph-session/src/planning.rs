@@ -62,6 +62,7 @@ impl RunBuilder {
             frame: self.frame.or(rig.lever_arm.map(|_| FrameChoice::BaseLink)),
             antenna: self.antenna()?,
             correction: None,
+            uneven_ground: false,
             mask: self.mask.clone(),
             markers: self.markers.clone(),
             sensors: self.sensors.clone(),

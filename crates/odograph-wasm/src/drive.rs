@@ -244,6 +244,9 @@ impl Pass {
         if let Some(correction) = correction {
             odometry = odometry.with_correction(correction.clone());
         }
+        if calibration.uneven_ground {
+            odometry = odometry.with_uneven_ground();
+        }
         odometry.record_keyframes();
         // The images of keyframes are as a global shutter would have taken them.
         let global = camera.clone().with_readout_s(None)?;

@@ -21,7 +21,7 @@ pub enum CameraDifference {
     /// Its readout time is unknown and matters: several are to be tried.
     UnknownReadout(ReadoutProfile),
     /// The mean log residual with the readout time that was tried.
-    TriedReadout(f64),
+    TriedReadout(ReadoutTrial),
 }
 
 /// How a pass over a recording ended.
@@ -42,6 +42,9 @@ pub struct MultiPassCalibration {
     pub rig: Rig,
     /// Correction of its fixed-pattern noise, if an earlier pass found some.
     pub correction: Option<NonuniformityCorrection>,
+    /// Whether the pass takes the ground to be uneven from its first frame on, as an earlier one has
+    /// found it: readout times are compared under one model.
+    pub uneven_ground: bool,
     /// Whether another mount, lens or readout time ends a pass.
     pub calibrates: bool,
     /// Whether a fixed pattern that is not corrected yet ends a pass.
@@ -63,6 +66,7 @@ impl MultiPassCalibration {
             camera,
             rig,
             correction: None,
+            uneven_ground: false,
             calibrates: false,
             corrects_pattern: false,
             lens_is_known: false,
@@ -122,9 +126,9 @@ impl MultiPassCalibration {
             }
             CameraDifference::FixedPattern(pattern) => self.correction = Some(pattern),
             CameraDifference::UnknownReadout(profile) => self.try_next(profile),
-            CameraDifference::TriedReadout(log_residual) => {
+            CameraDifference::TriedReadout(trial) => {
                 if let Some(mut profile) = self.profile.take() {
-                    profile.add(log_residual);
+                    profile.take(trial);
                     self.try_next(profile);
                 }
             }
@@ -146,6 +150,7 @@ impl MultiPassCalibration {
         }
         self.assume(CalibrationUpdate { readout: None, ..self.found.clone().unwrap_or_default() });
         self.is_profiled = next_s.is_none();
+        self.uneven_ground = next_s.is_some();
         self.profile = next_s.map(|_| profile);
     }
 
@@ -173,7 +178,7 @@ impl CameraMonitor {
             return Some(CameraDifference::FixedPattern(pattern.clone()));
         }
         if let Some(trial) = &mut self.trial {
-            return trial.watch(frame).map(CameraDifference::TriedReadout);
+            return trial.watch(frame, odometry).then(|| CameraDifference::TriedReadout(trial.clone()));
         }
         let found = self.calibration.as_mut().and_then(|monitor| monitor.watch(frame, odometry));
         let unknown = self.readout.as_mut().and_then(|readout| readout.watch(frame, odometry));
@@ -184,7 +189,7 @@ impl CameraMonitor {
     /// The check at the end of the recording ([`CalibrationMonitor::at_end`]).
     pub fn at_end(&self) -> Option<CameraDifference> {
         if let Some(trial) = &self.trial {
-            return Some(CameraDifference::TriedReadout(trial.mean_log_residual()));
+            return Some(CameraDifference::TriedReadout(trial.clone()));
         }
         let found = self.calibration.as_ref().and_then(CalibrationMonitor::at_end);
         let unknown = self.readout.as_ref().and_then(UnknownReadout::at_end);

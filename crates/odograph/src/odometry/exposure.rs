@@ -146,6 +146,15 @@ impl Odometry {
         (of_slope, if is_unshaped { of_slope } else { 0.0 })
     }
 
+    /// By how much the skew of the last frame differs from that of its keyframe if images are read
+    /// in this time, pixels.
+    pub(crate) fn skew_since_keyframe_px(&self, readout_s: f64) -> f64 {
+        let (Some(keyframe), Some(last)) = (&self.keyframe, &self.last) else { return 0.0 };
+        let Some(rates) = last.pose_rates.map(|rates| rates - keyframe.shutter.rates) else { return 0.0 };
+        let difference = RollingShutter { rates, readout_s, ..keyframe.shutter };
+        largest_shift_px(&self.camera, &last.pose, &difference)
+    }
+
     /// Whether the readout time is known well enough for rows to determine rates.
     fn rows_determine_rates(&self, readout_s: f64) -> bool {
         readout_s != 0.0 && self.learned.shutter().is_some_and(|state| state.is_known())

@@ -193,6 +193,11 @@ impl Learned {
         }
     }
 
+    /// Takes the ground to be rough from the first frame on.
+    pub fn expect_uneven_ground(&mut self) {
+        self.roughness.begin();
+    }
+
     /// The variance of the elevations of points of which nothing else is known, metres²: zero where
     /// the ground is flat.
     pub fn relief_m2(&self) -> f64 {

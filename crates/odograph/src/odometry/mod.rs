@@ -199,6 +199,12 @@ impl Odometry {
         self
     }
 
+    /// Takes the ground to be uneven from the first frame on, until it turns out to be flat.
+    pub fn with_uneven_ground(mut self) -> Self {
+        self.learned.expect_uneven_ground();
+        self
+    }
+
     /// The pattern that the camera adds to its images, where it is stronger than the ground.
     pub fn correction(&self) -> Option<&NonuniformityCorrection> {
         self.pattern_noise.correction()

@@ -1,6 +1,8 @@
 //! The surface of ground that is not flat: elevations between points where they are known, by
-//! ordinary kriging with a power variogram fitted to the points themselves (G. Matheron, 1963;
-//! N. Cressie, "Statistics for Spatial Data", 1993).
+//! kriging (G. Matheron, 1963; N. Cressie, "Statistics for Spatial Data", 1993) with a variogram
+//! fitted to the points themselves. Ground that undulates has no mean that a view could show:
+//! ordinary kriging with a power variogram. The mean of gravel is known from hundreds of stones:
+//! simple kriging with a stationary covariance.
 
 use crate::geometry::GroundPoint;
 use crate::motion::{Elevation, GroundShape};
@@ -11,7 +13,11 @@ use nalgebra::{SMatrix, SVector};
 pub struct Surface {
     points: Vec<(GroundPoint, Elevation)>,
     variogram: Variogram,
+    /// Where so many stones are in view that their mean is the level of the ground.
+    stones: Option<StationaryCovariance>,
     mean_m: f64,
+    /// Mean of the ground about which stones vary, metres.
+    level_m: f64,
     /// Points per square metre.
     density: f64,
     /// The error that the elevations share; `None` where their errors are independent.
@@ -22,21 +28,29 @@ pub struct Surface {
 /// as long as the image is wide and longer 0.9 and more.
 const SMOOTH: f64 = 0.5;
 
+/// From this number of stones in view, their mean is the level of the ground. Gravel of 6 cm below
+/// 0.75 m has 140, ground with a kerb fewer than 5.
+const MANY_STONES: f64 = 30.0;
+
 /// Points that an elevation is interpolated from.
 const NEIGHBOURS: usize = 8;
 
 impl Surface {
-    /// Through these points, on ground whose elevations have this variance. `None` for fewer points
-    /// than an elevation is interpolated from.
+    /// Through these points, on ground whose elevations have this variance and, as far as was known
+    /// before, this level. `None` for fewer points than an elevation is interpolated from.
     pub fn new(
         points: Vec<(GroundPoint, Elevation)>,
         variance_m2: f64,
+        level_before_m: f64,
         shape: Option<GroundShape>,
     ) -> Option<Self> {
         if points.len() < NEIGHBOURS {
             return None;
         }
-        let variogram = Variogram::fitted(&points, variance_m2);
+        let known =
+            |(_, elevation): &&(GroundPoint, Elevation)| elevation.variance_m2 < WELL_KNOWN * variance_m2;
+        let differences = ElevationDifferences::of(&points.iter().filter(known).collect::<Vec<_>>());
+        let variogram = Variogram::fitted(&differences, variance_m2);
         let mean_m = points.iter().map(|(_, elevation)| elevation.mean_m).sum::<f64>() / points.len() as f64;
         let bounds = |along: fn(&GroundPoint) -> f64| {
             let along = points.iter().map(|(place, _)| along(place));
@@ -46,7 +60,13 @@ impl Surface {
         };
         let area_m2 = bounds(|place| place.x_m) * bounds(|place| place.y_m);
         let density = points.len() as f64 / area_m2.max(f64::MIN_POSITIVE);
-        Some(Self { points, variogram, mean_m, density, shape })
+        let is_smooth = variogram.exponent > SMOOTH;
+        let stones = StationaryCovariance::fitted(&differences)
+            .filter(|stones| !is_smooth && variance_m2 > 0.0 && stones.number_in(area_m2) > MANY_STONES);
+        // The mean of the stones in view differs from their level by less than a stone does.
+        let is_same = |stones: StationaryCovariance| (mean_m - level_before_m).powi(2) < stones.sill_m2;
+        let level_m = if stones.is_some_and(is_same) { level_before_m } else { mean_m };
+        Some(Self { points, variogram, stones, mean_m, level_m, density, shape })
     }
 
     /// Whether differences grow with the distance as on undulating ground; on gravel they do not,
@@ -60,8 +80,38 @@ impl Surface {
         self.mean_m
     }
 
+    /// Mean of the ground about which stones vary, metres.
+    pub fn level_m(&self) -> f64 {
+        self.level_m
+    }
+
     /// The elevation at a point.
     pub fn at(&self, point: GroundPoint) -> Elevation {
+        match &self.stones {
+            Some(stones) => self.simple_kriging(stones, point),
+            None => self.ordinary_kriging(point),
+        }
+    }
+
+    fn simple_kriging(&self, stones: &StationaryCovariance, point: GroundPoint) -> Elevation {
+        let nearest = self.nearest(point).map(|(_, index)| &self.points[index]);
+        let covariance = |a: GroundPoint, b: GroundPoint| stones.covariance_m2(a.distance(b));
+        let right = SVector::from(nearest.map(|(place, _)| covariance(*place, point)));
+        let system = SMatrix::<f64, NEIGHBOURS, NEIGHBOURS>::from_fn(|i, k| {
+            let error_m2 = if i == k { nearest[i].1.variance_m2 } else { 0.0 };
+            covariance(nearest[i].0, nearest[k].0) + error_m2
+        });
+        let unknown = Elevation { mean_m: self.level_m, variance_m2: stones.sill_m2 };
+        let Some(weights) = system.lu().solve(&right) else { return unknown };
+        let above_m = SVector::from(nearest.map(|(_, elevation)| elevation.mean_m - self.level_m));
+        let variance_m2 = stones.sill_m2 - weights.dot(&right);
+        Elevation {
+            mean_m: self.level_m + weights.dot(&above_m),
+            variance_m2: variance_m2.max(LEAST_SIGMA_M * LEAST_SIGMA_M),
+        }
+    }
+
+    fn ordinary_kriging(&self, point: GroundPoint) -> Elevation {
         let nearest = self.nearest(point);
         let semivariance =
             |a: GroundPoint, b: GroundPoint| 0.5 * self.variogram.squared_difference(a.distance(b));
@@ -116,55 +166,90 @@ impl Surface {
 /// Elevations are never taken to be known better than this, metres.
 const LEAST_SIGMA_M: f64 = 1e-5;
 
+/// Distances from twice one lag to the next, the first in metres.
+const LAGS: usize = 9;
+const FIRST_LAG_M: f64 = 0.01;
+
+/// Pairs of points that a lag must have.
+const LEAST_PAIRS: f64 = 30.0;
+
+/// Points whose own variance is below this part of that of all elevations determine the variogram.
+const WELL_KNOWN: f64 = 0.25;
+
+/// The empirical variogram: mean squared differences of elevations by the distance of the points.
+#[derive(Debug, Clone, Copy, Default)]
+struct ElevationDifferences {
+    lags: [SquaredDifference; LAGS],
+    all: SquaredDifference,
+}
+
+/// The mean squared difference of pairs of points.
+#[derive(Debug, Clone, Copy, Default)]
+struct SquaredDifference {
+    roots: f64,
+    noise_m2: f64,
+    pairs: f64,
+}
+
+impl SquaredDifference {
+    fn add(&mut self, a: &Elevation, b: &Elevation) {
+        self.roots += (a.mean_m - b.mean_m).abs().sqrt();
+        self.noise_m2 += a.variance_m2 + b.variance_m2;
+        self.pairs += 1.0;
+    }
+
+    /// Without that by the errors of the elevations, metres²; `None` for too few pairs. The fourth
+    /// power of the mean root is robust (N. Cressie and D. Hawkins, 1980).
+    fn mean_m2(&self) -> Option<f64> {
+        let mean_m2 = f64::powi(self.roots / self.pairs, 4) / 0.457 - self.noise_m2 / self.pairs;
+        (self.pairs >= LEAST_PAIRS && mean_m2 > 0.0).then_some(mean_m2)
+    }
+}
+
+impl ElevationDifferences {
+    fn of(points: &[&(GroundPoint, Elevation)]) -> Self {
+        let mut differences = Self::default();
+        for (i, (place, elevation)) in points.iter().enumerate() {
+            for (other, beside) in &points[..i] {
+                let lag = (place.distance(*other) / FIRST_LAG_M).log2().round();
+                if (0.0..LAGS as f64).contains(&lag) {
+                    differences.lags[lag as usize].add(elevation, beside);
+                }
+                differences.all.add(elevation, beside);
+            }
+        }
+        differences
+    }
+
+    /// Distance and mean squared difference of the lags that have enough pairs.
+    fn by_distance(&self) -> impl Iterator<Item = (f64, f64)> {
+        let distance_m = |lag: usize| FIRST_LAG_M * f64::powi(2.0, lag as i32);
+        let lags = self.lags.iter().enumerate();
+        lags.filter_map(move |(lag, differences)| Some((distance_m(lag), differences.mean_m2()?)))
+    }
+}
+
 /// The mean squared difference of two elevations as a power of their distance: near 0 for gravel,
 /// near 2 for smooth ground.
 #[derive(Debug, Clone, Copy)]
-pub struct Variogram {
+struct Variogram {
     /// Metres² for points a metre apart.
     at_metre_m2: f64,
     exponent: f64,
 }
 
-/// Distances from twice one lag to the next, the first in metres.
-const LAGS: usize = 9;
-const FIRST_LAG_M: f64 = 0.01;
-
 /// A power variogram is valid for exponents between 0 and 2, both excluded.
 const EXPONENTS: (f64, f64) = (0.05, 1.9);
 
-/// Pairs of points that a lag must have.
-const LEAST_PAIRS: f64 = 30.0;
-
 impl Variogram {
-    /// That of points that are known well against the spread of all elevations.
-    pub fn fitted(points: &[(GroundPoint, Elevation)], variance_m2: f64) -> Self {
-        let known: Vec<_> = points.iter().filter(|(_, e)| e.variance_m2 < WELL_KNOWN * variance_m2).collect();
-        let (mut roots, mut noise, mut pairs) = ([0.0; LAGS], [0.0; LAGS], [0.0; LAGS]);
-        for (i, (place, elevation)) in known.iter().enumerate() {
-            for (other, beside) in &known[..i] {
-                let lag = (place.distance(*other) / FIRST_LAG_M).log2().round();
-                if (0.0..LAGS as f64).contains(&lag) {
-                    let lag = lag as usize;
-                    roots[lag] += (elevation.mean_m - beside.mean_m).abs().sqrt();
-                    noise[lag] += elevation.variance_m2 + beside.variance_m2;
-                    pairs[lag] += 1.0;
-                }
-            }
-        }
+    /// That of these differences on ground whose elevations have this variance.
+    fn fitted(differences: &ElevationDifferences, variance_m2: f64) -> Self {
         // A line through logarithms.
         let (mut count, mut x, mut y, mut xx, mut xy) = (0.0, 0.0, 0.0, 0.0, 0.0);
-        for lag in 0..LAGS {
-            if pairs[lag] < LEAST_PAIRS {
-                continue;
-            }
-            // The fourth power of the mean root is robust (N. Cressie and D. Hawkins, 1980).
-            let squared_m2 = f64::powi(roots[lag] / pairs[lag], 4) / 0.457 - noise[lag] / pairs[lag];
-            if squared_m2 > 0.0 {
-                let log_m = (FIRST_LAG_M * f64::powi(2.0, lag as i32)).ln();
-                let log_m2 = squared_m2.ln();
-                (count, x, y) = (count + 1.0, x + log_m, y + log_m2);
-                (xx, xy) = (xx + log_m * log_m, xy + log_m * log_m2);
-            }
+        for (distance_m, squared_m2) in differences.by_distance() {
+            let (log_m, log_m2) = (distance_m.ln(), squared_m2.ln());
+            (count, x, y) = (count + 1.0, x + log_m, y + log_m2);
+            (xx, xy) = (xx + log_m * log_m, xy + log_m * log_m2);
         }
         if count < 2.0 {
             return Self { at_metre_m2: 2.0 * variance_m2, exponent: EXPONENTS.0 };
@@ -175,13 +260,54 @@ impl Variogram {
     }
 
     /// The mean squared difference of two elevations this far apart, metres².
-    pub fn squared_difference(&self, distance_m: f64) -> f64 {
+    fn squared_difference(&self, distance_m: f64) -> f64 {
         self.at_metre_m2 * distance_m.powf(self.exponent)
     }
 }
 
-/// Points whose own variance is below this part of that of all elevations determine the variogram.
-const WELL_KNOWN: f64 = 0.25;
+/// Covariance of the elevations of two points on stones: falls with the distance, with this power
+/// in the exponent of the natural base.
+#[derive(Debug, Clone, Copy)]
+struct StationaryCovariance {
+    /// Variance of the elevations, metres².
+    sill_m2: f64,
+    /// Where it has fallen to 1/e, metres.
+    range_m: f64,
+}
+
+/// Between an edge (1) and a smooth bump (2).
+const STONE_POWER: f64 = 1.5;
+
+/// From this part of the sill, the range cannot be seen in a mean squared difference.
+const NEAR_SILL: f64 = 0.9;
+
+/// Range of stones where it is shorter than the distances between points, metres.
+const LEAST_RANGE_M: f64 = 0.5 * FIRST_LAG_M;
+
+impl StationaryCovariance {
+    /// That of these differences; `None` where these are too few.
+    fn fitted(differences: &ElevationDifferences) -> Option<Self> {
+        let sill_m2 = 0.5 * differences.all.mean_m2()?;
+        let range_m = |(distance_m, squared_m2): (f64, f64)| {
+            let part = 0.5 * squared_m2 / sill_m2;
+            (part < NEAR_SILL).then(|| distance_m / (-(1.0 - part).ln()).powf(1.0 / STONE_POWER))
+        };
+        let ranges = differences.by_distance().filter_map(range_m);
+        let (logs, count) =
+            ranges.fold((0.0, 0.0), |(logs, count), range_m| (logs + range_m.ln(), count + 1.0));
+        let range_m = if count > 0.0 { f64::exp(logs / count).max(LEAST_RANGE_M) } else { LEAST_RANGE_M };
+        Some(Self { sill_m2, range_m })
+    }
+
+    /// Number of independent stones in an area.
+    fn number_in(&self, area_m2: f64) -> f64 {
+        area_m2 / (std::f64::consts::PI * self.range_m * self.range_m)
+    }
+
+    fn covariance_m2(&self, distance_m: f64) -> f64 {
+        self.sill_m2 * (-(distance_m / self.range_m).powf(STONE_POWER)).exp()
+    }
+}
 
 #[cfg(test)]
 mod tests {
@@ -194,7 +320,7 @@ mod tests {
             let mean_m = elevation(x_m, y_m);
             (GroundPoint::new(x_m, y_m), Elevation { mean_m, variance_m2: 1e-8 })
         };
-        Surface::new((0..256).map(point).collect(), 1e-4, None).unwrap()
+        Surface::new((0..256).map(point).collect(), 1e-4, 0.0, None).unwrap()
     }
 
     #[test]
@@ -218,6 +344,15 @@ mod tests {
     }
 
     #[test]
+    fn unseen_gravel_is_at_the_level_of_all_stones() {
+        let stone = |x: f64, y: f64| 0.005 * (1e4 * (x * 7.1 + y * 3.3)).sin();
+        let beyond = GroundPoint::new(1.2, 0.42);
+        assert!(surface(stone).at(beyond).mean_m.abs() < 1e-4, "not at that of the nearest stones");
+        let raised = surface(|x, y| 0.05 + stone(x, y));
+        assert!((raised.at(beyond).mean_m - 0.05).abs() < 1e-3, "{:?}", raised.at(beyond));
+    }
+
+    #[test]
     fn unseen_ground_weighs_as_one_point() {
         let surface = surface(|x: f64, y: f64| 0.03 * (3.0 * x).sin() * (2.0 * y).cos());
         // 25 points beside the surface within 20 cm of each other: the information of all of them
@@ -229,6 +364,8 @@ mod tests {
 
     #[test]
     fn fewer_points_than_neighbours_make_no_surface() {
-        assert!(Surface::new(vec![(GroundPoint::new(0.0, 0.0), Elevation::FLAT); 7], 1e-4, None).is_none());
+        assert!(
+            Surface::new(vec![(GroundPoint::new(0.0, 0.0), Elevation::FLAT); 7], 1e-4, 0.0, None).is_none()
+        );
     }
 }

@@ -19,6 +19,8 @@ pub struct ReadoutProfile {
     longest_s: f64,
     /// Sorted by readout time.
     tried: Vec<(f64, f64)>,
+    /// Weights of the frames, from the first trial on.
+    weights: Vec<f64>,
 }
 
 /// The readout time decides over distances after a path of this many heights; before, there is
@@ -41,6 +43,17 @@ const CHANCE_GAIN: f64 = 0.02;
 /// Frames are seldom longer apart than a readout takes where they are this far apart, seconds.
 const LONGEST_FRAME_S: f64 = 1.0 / 30.0;
 
+/// In place of zero, so that frames are fitted with the same unknowns as with the others, seconds.
+const ALMOST_GLOBAL_S: f64 = 1e-4;
+
+/// Frames whose skew differs from their keyframe's by less than this, pixels, even with the longest
+/// readout time, say little of it: at a constant velocity nothing tells it from another height.
+/// Chosen on drives that are shown in `docs/math/rolling-shutter.md`.
+const NOTICEABLE_PX: f64 = 0.5;
+
+/// Number of frames that must differ by more. Not derived; chosen.
+const LEAST_WEIGHT: f64 = 5.0;
+
 /// Distances between readout times that are tried, first and at last, parts of the longest.
 const COARSE: f64 = 0.25;
 const FINE: f64 = 0.125;
@@ -50,13 +63,16 @@ const LONGEST: f64 = 0.95;
 
 impl ReadoutProfile {
     fn new(frames: u64, frame_s: f64) -> Self {
-        Self { frames, longest_s: frame_s.min(LONGEST_FRAME_S), tried: Vec::new() }
+        Self { frames, longest_s: frame_s.min(LONGEST_FRAME_S), tried: Vec::new(), weights: Vec::new() }
     }
 
     /// The readout time to try next, seconds; `None` when the profile is complete.
     pub fn next_s(&self) -> Option<f64> {
+        if self.is_blind() {
+            return None;
+        }
         let (coarse_s, fine_s) = (COARSE * self.longest_s, FINE * self.longest_s);
-        let first = [0.0, coarse_s, 2.0 * coarse_s];
+        let first = [ALMOST_GLOBAL_S, coarse_s, 2.0 * coarse_s];
         if let Some(next) = first.into_iter().find(|&readout_s| !self.has(readout_s)) {
             return Some(next);
         }
@@ -82,8 +98,20 @@ impl ReadoutProfile {
         self.tried.iter().any(|(tried_s, _)| (tried_s - readout_s).abs() < 1e-9)
     }
 
-    /// Takes the mean log residual with the readout time that was to be tried.
-    pub fn add(&mut self, log_residual: f64) {
+    /// Takes the trial of the readout time that was to be tried. The first one determines how much
+    /// each frame says of it in all.
+    pub fn take(&mut self, trial: ReadoutTrial) {
+        let log_residual = trial.mean_log_residual();
+        self.weights = trial.weights;
+        self.add(log_residual);
+    }
+
+    /// Whether the first trial showed that too few frames would tell readout times apart.
+    fn is_blind(&self) -> bool {
+        !self.tried.is_empty() && self.weights.iter().sum::<f64>() < LEAST_WEIGHT
+    }
+
+    fn add(&mut self, log_residual: f64) {
         if let Some(readout_s) = self.next_s() {
             self.tried.push((readout_s, log_residual));
             self.tried.sort_by(|a, b| a.0.total_cmp(&b.0));
@@ -143,7 +171,7 @@ impl UnknownReadout {
         self.first_s.get_or_insert(frame.time_s);
         self.last_s = frame.time_s;
         self.frames += 1;
-        self.path.add(frame);
+        self.path.add(frame, 1.0);
         let readout = odometry.readout().filter(|_| odometry.readout_matters());
         self.is_uneven |= odometry.sees_relief();
         self.is_unknown = readout.is_some_and(|readout| readout.variance_s2 > KNOWN_READOUT_S.powi(2));
@@ -159,29 +187,47 @@ impl UnknownReadout {
     }
 }
 
-/// The mean log residual of the frames of a trial.
+/// The residuals of the frames with one readout time.
 #[derive(Debug, Clone)]
 pub struct ReadoutTrial {
     frames_left: u64,
+    longest_s: f64,
+    /// Whether no trial before has determined the weights.
+    is_first: bool,
+    /// Weights of the frames.
+    weights: Vec<f64>,
+    frames: usize,
     moving: MovingFrames,
 }
 
 impl ReadoutTrial {
     /// Of the next readout time of a profile.
     pub fn of(profile: &ReadoutProfile) -> Self {
-        Self { frames_left: profile.frames, moving: MovingFrames::default() }
+        Self {
+            frames_left: profile.frames,
+            longest_s: profile.longest_s,
+            is_first: profile.tried.is_empty(),
+            weights: profile.weights.clone(),
+            frames: 0,
+            moving: MovingFrames::default(),
+        }
     }
 
-    /// Takes the next frame; returns the mean log residual after the last one of the trial.
-    pub fn watch(&mut self, frame: &FrameEstimate) -> Option<f64> {
-        self.moving.add(frame);
+    /// Takes the next frame; true after the last one of the trial.
+    pub fn watch(&mut self, frame: &FrameEstimate, odometry: &Odometry) -> bool {
+        if self.is_first {
+            let squared = odometry.skew_since_keyframe_px(self.longest_s).powi(2);
+            self.weights.push(squared / (squared + NOTICEABLE_PX * NOTICEABLE_PX));
+        }
+        self.moving.add(frame, self.weights.get(self.frames).copied().unwrap_or_default());
+        self.frames += 1;
         self.frames_left = self.frames_left.saturating_sub(1);
-        (self.frames_left == 0).then(|| self.mean_log_residual())
+        self.frames_left == 0
     }
 
-    /// The mean log residual of the frames so far.
-    pub fn mean_log_residual(&self) -> f64 {
-        self.moving.log_residuals / self.moving.count.max(1.0)
+    /// The mean log residual of the frames so far, each with its weight.
+    fn mean_log_residual(&self) -> f64 {
+        self.moving.log_residuals / self.moving.weight.max(f64::MIN_POSITIVE)
     }
 }
 
@@ -190,7 +236,7 @@ impl ReadoutTrial {
 struct MovingFrames {
     last: Option<GroundPose>,
     heights: f64,
-    count: f64,
+    weight: f64,
     log_residuals: f64,
 }
 
@@ -204,7 +250,7 @@ const LOST_PX: f64 = 1.0;
 const LEAST_RESIDUAL_PX: f64 = 5e-3;
 
 impl MovingFrames {
-    fn add(&mut self, frame: &FrameEstimate) {
+    fn add(&mut self, frame: &FrameEstimate, weight: f64) {
         let pose = frame.ground_pose();
         let step = pose.zip(self.last).map(|(to, from)| {
             let moved = (to.x_m - from.x_m).hypot(to.y_m - from.y_m) / to.height_m;
@@ -218,8 +264,8 @@ impl MovingFrames {
             _ => None,
         };
         if let Some(residual_px) = residual_px {
-            self.count += 1.0;
-            self.log_residuals += residual_px.ln();
+            self.weight += weight;
+            self.log_residuals += weight * residual_px.ln();
         }
         self.heights += step.map_or(0.0, |(moved, _)| moved);
         self.last = pose;
@@ -234,6 +280,7 @@ mod tests {
     /// number of trials.
     fn found(log_residual: impl Fn(f64) -> f64) -> ((f64, f64), usize) {
         let mut profile = ReadoutProfile::new(200, 1.0 / 30.0);
+        profile.weights = vec![1.0; 200];
         while let Some(readout_s) = profile.next_s() {
             profile.add(log_residual(1e3 * readout_s));
         }

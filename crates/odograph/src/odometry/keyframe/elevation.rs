@@ -141,14 +141,13 @@ impl Keyframe {
             }
         }
         let measured = || found.iter().zip(&frame.elevations).zip(&frame.inliers);
-        let surpasses =
-            |corners: &[KeyCorner], found: &FoundCorner, seen: &MeasuredElevation, agrees: bool| {
-                let corner = &corners[found.corner];
-                let is_smooth = self.undulates || (self.new_ground_is_kerb && corner.is_on_kerb);
-                is_smooth && agrees && !seen.is_significant && corner.surpasses(seen)
-            };
-        let surpassing =
-            measured().filter(|((found, seen), agrees)| surpasses(&self.corners, found, seen, **agrees));
+        let is_uneven = self.undulates || self.surface.is_some();
+        let surpasses = |found: &FoundCorner, seen: &MeasuredElevation| {
+            let corner = &self.corners[found.corner];
+            let may_be_off = is_uneven || (self.new_ground_is_kerb && corner.is_on_kerb);
+            may_be_off && !seen.is_significant && corner.surpasses(seen)
+        };
+        let surpassing = measured().filter(|((found, seen), agrees)| **agrees && surpasses(found, seen));
         let taken: Vec<_> = surpassing.map(|((found, seen), _)| (found.corner, *seen)).collect();
         // The shape contains what they share.
         let sharing = if frame.shape.is_some() { 1.0 } else { taken.len() as f64 };
@@ -177,6 +176,7 @@ impl Keyframe {
             let elevation = measured.or(corner.elevation).unwrap_or(unknown);
             (along_ray(&self.pose, ground, elevation_m, elevation.mean_m), elevation)
         };
-        Surface::new(self.corners.iter().map(point).collect(), relief_m2, self.shape)
+        let level_m = self.surface.as_ref().map_or(self.level_m, Surface::level_m);
+        Surface::new(self.corners.iter().map(point).collect(), relief_m2, level_m, self.shape)
     }
 }
