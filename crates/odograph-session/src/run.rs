@@ -7,7 +7,7 @@ use crate::folder::OutputFolder;
 use crate::found::{FoundLens, FoundMount};
 use crate::observer::Observer;
 use crate::outcome::RunOutcome;
-use crate::output::RunOutput;
+use crate::output::{RunOutput, explained};
 use crate::overlay_video::OverlayVideo;
 use crate::passes::{assume, calibration_of, examine_beginning};
 use crate::pipeline::{self, Tracked};
@@ -17,13 +17,12 @@ use crate::report::RunReporter;
 use odograph::error::{Error, Result};
 use odograph::self_calibration::MultiPassCalibration;
 use odograph_map::{MapFile, UnfinishedSession};
-use odograph_video::{Source, SourceInfo};
+use odograph_video::{Source, SourceInfo, TemporaryFolder};
 use std::fmt;
 use std::fs;
 use std::path::Path;
 use std::sync::Arc;
 use std::time::Instant;
-use tempfile::TempDir;
 
 impl RunBuilder {
     /// Makes everything ready: reads what the options name, opens the source, makes the folder and
@@ -57,7 +56,8 @@ impl RunBuilder {
             Some(plan) => Some((plan.as_ref().clone(), plan.source.open()?)),
             None => None,
         };
-        let folder = OutputFolder::new(&path, &self.output)?;
+        let folder =
+            OutputFolder::new(&path, &self.output).map_err(|error| explained(error, temporary.as_ref()))?;
         let (plan, source) = if let Some(resumed) = resumed {
             resumed
         } else if self.repeats {
@@ -122,7 +122,7 @@ pub struct Run {
     output: RunOutput,
     reporter: Option<Arc<dyn RunReporter>>,
     /// The last field, so that the folder is removed after all else is closed.
-    temporary: Option<TempDir>,
+    temporary: Option<TemporaryFolder>,
 }
 
 impl fmt::Debug for Run {
@@ -152,9 +152,13 @@ impl Run {
     /// # Errors
     /// If the source has no frame, or results cannot be written. What ends the recording early,
     /// such as a damaged file, is an error only after all that was computed has been written.
-    pub fn follow(self, observer: &dyn Observer) -> Result<RunOutcome> {
-        // Removed after all else is closed: variables are dropped in reverse order of declaration.
-        let _temporary = self.temporary;
+    pub fn follow(mut self, observer: &dyn Observer) -> Result<RunOutcome> {
+        // Removed after all else is closed.
+        let temporary = self.temporary.take();
+        self.to_end(observer).map_err(|error| explained(error, temporary.as_ref()))
+    }
+
+    fn to_end(self, observer: &dyn Observer) -> Result<RunOutcome> {
         let Self { mut plan, source, mut folder, output, reporter, .. } = self;
         let started = Instant::now();
         let sensors = plan.sensors.read(&plan.source.path)?;
