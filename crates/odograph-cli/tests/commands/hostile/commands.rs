@@ -181,3 +181,13 @@ fn every_command_refuses_wrong_input_in_one_sentence() {
     assert!(wrong.is_empty(), "{wrong}");
     assert!(calls > 300, "{calls} calls");
 }
+
+#[test]
+fn the_documents_state_the_number_of_calls() {
+    let document = concat!(env!("CARGO_MANIFEST_DIR"), "/../../docs/reliability.md");
+    let stated = format!(
+        "`crates/odograph-cli/tests/commands/hostile/commands.txt` has {} calls",
+        CALLS.lines().count()
+    );
+    assert!(fs::read_to_string(document).unwrap().contains(&stated), "{stated}");
+}
