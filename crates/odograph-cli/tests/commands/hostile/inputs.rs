@@ -331,3 +331,18 @@ fn control_characters_of_files_do_not_reach_the_terminal() {
     let done = place.run("drive.y4m --camera evil.yaml --height 1 -o out");
     assert!(!done.stderr.iter().any(|&byte| byte == 0x1b || byte == b'\r'), "{done:?}");
 }
+
+#[test]
+fn a_wrong_height_over_mapped_ground_is_reported() {
+    let place = HostileFolder::new();
+    fs::write(place.path("drive.y4m"), y4m(40)).unwrap();
+    assert!(place.run("drive.y4m --camera camera.yaml --height 1 -o out -q").status.success());
+    let again = place.run("drive.y4m --camera camera.yaml --height 66cm --map out/map.gpkg -o low");
+    assert!(again.status.success());
+    let message = String::from_utf8_lossy(&again.stderr);
+    let found = "its ground is found there if the camera was 1.00 m above it, not 0.66 m: check the height";
+    assert!(
+        message.contains("nothing of out/map.gpkg was recognised") && message.contains(found),
+        "{message}"
+    );
+}
