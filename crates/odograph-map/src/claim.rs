@@ -32,6 +32,10 @@ impl MapClaim {
     /// Acquires write access to an existing map or to the path of a new one. Does not block: fails
     /// if another process, or another part of this one, has it.
     pub fn on(map: &Path) -> Result<Self> {
+        if map.symlink_metadata().is_ok_and(|metadata| metadata.is_symlink()) && !map.exists() {
+            let what = "is a link that leads nowhere; remove it, or name another map";
+            return Err(Error::input(format!("{} {what}", map.display())));
+        }
         let lock = with_ending(&resolved(map), ".lock");
         let cannot = |error| Error::not_written(map.display(), error);
         loop {

@@ -92,6 +92,7 @@ mod pictures;
 mod pipeline;
 mod passes;
 mod finish;
+mod separate_outputs;
 mod run;
 pub mod batch;
 mod doctor;

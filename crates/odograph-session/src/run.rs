@@ -20,7 +20,7 @@ use odograph_map::{MapFile, UnfinishedSession};
 use odograph_video::{Source, SourceInfo, TemporaryFolder};
 use std::fmt;
 use std::fs;
-use std::path::Path;
+use std::path::{Path, PathBuf};
 use std::sync::Arc;
 use std::time::Instant;
 
@@ -34,6 +34,9 @@ impl RunBuilder {
     pub fn open(&self, observer: &dyn Observer) -> Result<Run> {
         self.output.check_bag()?;
         self.output.video.as_deref().map_or(Ok(()), |video| OverlayVideo::check(video, self.output.force))?;
+        self.check_separate(
+            [&self.output.bag, &self.output.video].into_iter().flatten().map(PathBuf::as_path),
+        )?;
         let (path, temporary) = self.output.place()?;
         let same =
             |a: &Path, b: &Path| fs::canonicalize(a).is_ok_and(|a| fs::canonicalize(b).is_ok_and(|b| a == b));
@@ -43,13 +46,6 @@ impl RunBuilder {
                 true => format!("{shown} is the folder of the recording; its results need another one (-o)"),
                 false => format!("{shown} is the recording itself; its results need a folder (-o)"),
             }));
-        }
-        let outputs = [&self.output.bag, &self.output.video].into_iter().flatten();
-        if let Some(output) = outputs.into_iter().find(|output| same(Path::new(&self.source.path), output)) {
-            return Err(Error::usage(format!(
-                "{} is the recording itself; give what is written another name",
-                output.display()
-            )));
         }
         // What a killed run has left is not touched before its source can be read.
         let resumed = match &self.resumed {

@@ -118,6 +118,7 @@ impl RunBuilder {
         open: impl FnOnce(&SourcePlan, &Watch) -> Result<LiveInput>,
     ) -> Result<LiveRun> {
         options.mcap.as_deref().map_or(Ok(()), |path| McapLog::check(path, self.output.force))?;
+        self.check_separate(options.mcap.as_deref())?;
         let (path, temporary) = self.output.place()?;
         let folder =
             OutputFolder::new(&path, &self.output).map_err(|error| explained(error, temporary.as_ref()))?;
