@@ -76,8 +76,8 @@ impl GnssRecord {
         Self { name, fixes, clock_sigma_s: STATED_S, is_received: true }
     }
 
-    /// Positions that came during the run as a file for another one; `None` where there are no such
-    /// positions.
+    /// The positions that were received during the run, as CSV that a later run reads; `None` if
+    /// there are no such positions.
     pub fn received_csv(&self) -> Option<String> {
         (self.is_received && !self.fixes.is_empty()).then(|| gnss_file::write(&self.fixes))
     }

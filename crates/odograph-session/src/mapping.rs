@@ -188,7 +188,7 @@ impl Mapping {
             markers.survey(&mut self.mapper);
         }
         if !self.mapper.is_recognised() {
-            self.other_scale = OtherScale::of(self, self.height_m);
+            self.other_scale = OtherScale::of(&self.mapper, self.height_m, &mut self.file);
         }
     }
 

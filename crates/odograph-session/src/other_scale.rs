@@ -1,11 +1,12 @@
-//! Whether a run that was not recognised in a map would be if its camera had another height: its
-//! ground is then that of the map, and one of the two heights is wrong.
+//! Why a run was not recognised in a map: whether its ground is that of the map at another height of
+//! the camera. One of the two heights is wrong then.
 
-use crate::mapping::Mapping;
 use odograph::geometry::GroundPose;
+use odograph::ground_map::KeyframeImages;
 use odograph::image::Pyramid;
-use odograph::keyframe::KeyframeId;
 use odograph::place_recognition::{PlaceIndex, PlacesConfig, Signature};
+use odograph::slam::Mapper;
+use std::fmt;
 
 /// Number of keyframes that are looked up, spread over the run: more take longer.
 const MAX_LOOKED_UP: usize = 4;
@@ -33,9 +34,8 @@ pub struct OtherScale {
 impl OtherScale {
     /// Looks for another height with the keyframes of a run that was not recognised; it was tracked
     /// with `height_m`.
-    pub(crate) fn of(mapping: &mut Mapping, height_m: f64) -> Option<Self> {
-        let map = mapping.mapper().map();
-        let session = mapping.mapper().session();
+    pub(crate) fn of(mapper: &Mapper, height_m: f64, images: &mut dyn KeyframeImages) -> Option<Self> {
+        let (map, session) = (mapper.map(), mapper.session());
         let config = PlacesConfig::new(&map.camera, map.rig.first_pose().height_m);
         let mut index = PlaceIndex::new(&config);
         for keyframe in map.keyframes.iter().filter(|keyframe| keyframe.session != session) {
@@ -44,22 +44,17 @@ impl OtherScale {
         if index.is_empty() {
             return None;
         }
-        let camera = map.camera_of(session).clone();
-        let own: Vec<(KeyframeId, GroundPose)> = map
-            .keyframes
-            .iter()
-            .filter(|keyframe| keyframe.session == session)
-            .map(|keyframe| (keyframe.id, keyframe.pose))
-            .collect();
+        let camera = map.camera_of(session);
+        let own: Vec<_> = map.keyframes.iter().filter(|keyframe| keyframe.session == session).collect();
         let every = own.len().div_ceil(MAX_LOOKED_UP).max(1);
         let mut found: Vec<f64> = Vec::new();
-        for (id, pose) in own.iter().step_by(every) {
-            let Ok(image) = mapping.image(*id) else { continue };
+        for keyframe in own.iter().step_by(every) {
+            let Ok(image) = images.load(keyframe.id) else { continue };
             let pyramid = Pyramid::new(image.gray, LEVELS);
             let at = |step: i32| {
                 let ratio = STEP.powi(step);
-                let higher = GroundPose { height_m: pose.height_m * ratio, ..*pose };
-                let best = index.query(&Signature::of(&pyramid, &camera, &higher, &config), 1);
+                let higher = GroundPose { height_m: keyframe.pose.height_m * ratio, ..keyframe.pose };
+                let best = index.query(&Signature::of(&pyramid, camera, &higher, &config), 1);
                 let best = best.into_iter().find(|place| place.is_sure())?;
                 Some((best.score, ratio * best.motion.w.exp()))
             };
@@ -74,13 +69,15 @@ impl OtherScale {
     }
 }
 
-impl std::fmt::Display for OtherScale {
-    fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
+impl fmt::Display for OtherScale {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         let Self { height_m, in_map_m } = self;
+        // Two digits of the smaller one: a microscope is millimetres high.
+        let decimals = (1.0 - height_m.min(*in_map_m).log10().floor()).clamp(2.0, 9.0) as usize;
         write!(
             f,
-            "its ground is found there if the camera was {in_map_m:.2} m above it, not {height_m:.2} m: check the height, \
-             here or of the map"
+            "its ground is found there if the camera was {in_map_m:.decimals$} m above it, not {height_m:.decimals$} m: \
+             check the height, here or of the map"
         )
     }
 }

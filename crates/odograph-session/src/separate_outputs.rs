@@ -1,5 +1,5 @@
-//! Files that options name to be written are none that the run reads or writes otherwise: allowed to
-//! overwrite, it would destroy them.
+//! Checks that the files that options name to be written are neither inputs nor results of the run:
+//! with permission to overwrite, it would destroy them.
 
 use crate::builder::{CameraChoice, MountChoice, RunBuilder};
 use crate::folder::RUN_FILES;

@@ -18,8 +18,8 @@ static MADE: Mutex<Vec<PathBuf>> = Mutex::new(Vec::new());
 /// this is dropped.
 ///
 /// It is locked as long as its process lives, so that a folder without a lock was left by a killed
-/// process. The lock cannot be mistaken, as an id of a process could be that another one has since,
-/// or that counts in another container.
+/// process. The id of the process would not do: another process may have it now, and in another
+/// container it means nothing.
 #[derive(Debug)]
 pub struct TemporaryFolder {
     path: PathBuf,

@@ -117,7 +117,7 @@ fn fill_cameras(place: &HostileFolder) {
 fn fill_foreign_texts(place: &HostileFolder) {
     let utf16 = |text: &str| text.encode_utf16().flat_map(u16::to_le_bytes).collect::<Vec<u8>>();
     let aliases = (0..9).fold("a0: &a0 [x, x]\n".to_owned(), |text, number| {
-        text + &format!("a{}: &a{0} [{}]\n", number + 1, [format!("*a{number}"); 9].join(", "))
+        text + &format!("a{}: &a{0} [{}]\n", number + 1, vec![format!("*a{number}"); 9].join(", "))
     });
     for (name, bytes) in [
         ("utf16.yaml", utf16(CAMERA)),

@@ -377,7 +377,7 @@ fn decimal_commas_and_foreign_names_are_named() {
     place.refused("drive.y4m --camera camera.yaml --rig comma.toml -o out", 3, hint);
     place.refused_usual("drive.y4m --gyro comma.csv", 3, hint);
     let aliases = (0..9).fold("a0: &a0 [x, x]\n".to_owned(), |text, number| {
-        text + &format!("a{}: &a{0} [{}]\n", number + 1, [format!("*a{number}"); 9].join(", "))
+        text + &format!("a{}: &a{0} [{}]\n", number + 1, vec![format!("*a{number}"); 9].join(", "))
     });
     fs::write(place.path("aliases.yaml"), aliases).unwrap();
     place.refused("drive.y4m --camera aliases.yaml --height 1 -o out", 3, "larger or nested deeper than");

@@ -6,7 +6,7 @@ use super::run_folder::Mounted;
 use super::run_folder::{FILES, HostileFolder, assert_refused, assert_whole};
 use std::fs;
 use std::path::Path;
-use std::process::{Command, Stdio};
+use std::process::Command;
 
 #[test]
 fn invalid_outputs_are_refused() {
