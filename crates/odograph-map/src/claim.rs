@@ -64,8 +64,8 @@ impl MapClaim {
         }
     }
 
-    /// Keeps others from writing a map while it is read. `None` where nobody may write beside it, as
-    /// on a read-only medium: then no program can write the map.
+    /// Keeps others from writing a map while it is read. `None` where nobody may write beside it,
+    /// as on a read-only medium: then no program can write the map.
     pub fn while_reading(map: &Path) -> Result<Option<Self>> {
         let is_unwritable = |error: &Error| {
             let cause = error.source().and_then(|cause| cause.downcast_ref::<std::io::Error>());

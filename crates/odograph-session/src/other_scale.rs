@@ -1,5 +1,5 @@
-//! Why a run was not recognised in a map: whether its ground is that of the map at another height of
-//! the camera. One of the two heights is wrong then.
+//! Why a run was not recognised in a map: whether its ground is that of the map at another height
+//! of the camera. One of the two heights is wrong then.
 
 use odograph::geometry::GroundPose;
 use odograph::ground_map::KeyframeImages;
@@ -10,9 +10,9 @@ use std::fmt;
 
 /// Number of keyframes that are looked up, spread over the run: more take longer.
 const MAX_LOOKED_UP: usize = 4;
-/// Ratios between neighbouring heights that are tried, and their number to either side: signatures
-/// are recognised at heights that are off by some per cent, and heights in wrong units or of another
-/// camera by factors of three at most.
+/// Ratio between neighbouring heights that are tried, and their number to either side: signatures
+/// are recognised at heights that are off by some per cent, and larger factors than three are too
+/// coarse for the signatures of the map.
 const STEP: f64 = 1.09;
 const STEPS: i32 = 13;
 /// Heights within this ratio would have been recognised: the ratio is no reason.

@@ -1,4 +1,5 @@
-//! Folders for temporary files, which the next program removes if the one that made them was killed.
+//! Folders for temporary files, which the next program removes if the one that made them was
+//! killed.
 
 use odograph::error::{Error, ErrorKind, Result};
 use std::fs::{self, DirBuilder, File};
