@@ -151,10 +151,10 @@ impl Run {
     pub fn follow(mut self, observer: &dyn Observer) -> Result<RunOutcome> {
         // Removed after all else is closed.
         let temporary = self.temporary.take();
-        self.to_end(observer).map_err(|error| explained(error, temporary.as_ref()))
+        self.followed(observer).map_err(|error| explained(error, temporary.as_ref()))
     }
 
-    fn to_end(self, observer: &dyn Observer) -> Result<RunOutcome> {
+    fn followed(self, observer: &dyn Observer) -> Result<RunOutcome> {
         let Self { mut plan, source, mut folder, output, reporter, .. } = self;
         let started = Instant::now();
         let sensors = plan.sensors.read(&plan.source.path)?;

@@ -245,10 +245,10 @@ impl LiveRun {
     pub fn follow(mut self, poses: Option<&mut dyn PoseSink>, observer: &dyn Observer) -> Result<RunOutcome> {
         // Removed after all else is closed.
         let temporary = self.temporary.take();
-        self.to_end(poses, observer).map_err(|error| explained(error, temporary.as_ref()))
+        self.followed(poses, observer).map_err(|error| explained(error, temporary.as_ref()))
     }
 
-    fn to_end(self, poses: Option<&mut dyn PoseSink>, observer: &dyn Observer) -> Result<RunOutcome> {
+    fn followed(self, poses: Option<&mut dyn PoseSink>, observer: &dyn Observer) -> Result<RunOutcome> {
         let Self { plan, info, input, watch, folder, ground, hub, mcap, gnss, output, reporter, .. } = self;
         // Of a map that is continued the lens is the map's.
         let lens_is_known = output.map.path().is_some_and(MapFile::is_there);
