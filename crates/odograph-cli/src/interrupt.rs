@@ -2,6 +2,7 @@
 
 use crate::console;
 use odograph::error::{Error, Result};
+use odograph_video::TemporaryFolder;
 use std::io::IsTerminal;
 use std::sync::atomic::{AtomicBool, Ordering};
 use std::time::{Duration, Instant};
@@ -33,7 +34,10 @@ pub fn listen() {
                 });
             }
         }
-        Some(first) if first.elapsed() > SAME_REQUEST => std::process::exit(i32::from(EXIT_CODE)),
+        Some(first) if first.elapsed() > SAME_REQUEST => {
+            TemporaryFolder::remove_all();
+            std::process::exit(i32::from(EXIT_CODE))
+        }
         Some(_) => {}
     });
 }

@@ -2,6 +2,7 @@
 
 use crate::complaint::Complaint;
 use odograph::error::{Error, Result};
+use std::error::Error as _;
 use std::ffi::OsString;
 use std::fs::{File, OpenOptions, TryLockError};
 use std::io::{ErrorKind, Read, Write};
@@ -31,6 +32,10 @@ impl MapClaim {
     /// Acquires write access to an existing map or to the path of a new one. Does not block: fails
     /// if another process, or another part of this one, has it.
     pub fn on(map: &Path) -> Result<Self> {
+        if map.symlink_metadata().is_ok_and(|metadata| metadata.is_symlink()) && !map.exists() {
+            let what = "is a link that leads nowhere; remove it, or name another map";
+            return Err(Error::input(format!("{} {what}", map.display())));
+        }
         let lock = with_ending(&resolved(map), ".lock");
         let cannot = |error| Error::not_written(map.display(), error);
         loop {
@@ -56,6 +61,20 @@ impl MapClaim {
                 let _ = file.set_len(0).and_then(|()| writeln!(file, "{}", std::process::id()));
                 return Ok(Self(Arc::new(Held { map: map.to_owned(), lock, _file: file })));
             }
+        }
+    }
+
+    /// Keeps others from writing a map while it is read. `None` where nobody may write beside it,
+    /// as on a read-only medium: then no program can write the map.
+    pub fn while_reading(map: &Path) -> Result<Option<Self>> {
+        let is_unwritable = |error: &Error| {
+            let cause = error.source().and_then(|cause| cause.downcast_ref::<std::io::Error>());
+            let kind = cause.map(std::io::Error::kind);
+            matches!(kind, Some(ErrorKind::ReadOnlyFilesystem | ErrorKind::PermissionDenied))
+        };
+        match Self::on(map) {
+            Err(error) if is_unwritable(&error) && !Self::is_held(map) => Ok(None),
+            claim => claim.map(Some),
         }
     }
 

@@ -197,7 +197,7 @@ impl MapFile {
     pub fn copy_to(&self, path: &Path) -> Result<()> {
         let complaint = Complaint::about(path);
         let Some(name) = path.to_str() else {
-            return Err(complaint.usage("the name is no text; choose another"));
+            return Err(complaint.usage("the name is not UTF-8 text; choose another"));
         };
         let claim = MapClaim::on(path)?;
         if path.exists() {

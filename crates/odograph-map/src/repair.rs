@@ -51,7 +51,7 @@ pub struct Repair {
 /// program is writing it, if nothing can be kept, or if `to` exists or cannot be written.
 pub fn repair(damaged: &Path, to: &Path, keep_going: &mut dyn FnMut() -> bool) -> Result<Repair> {
     schema::check_is_database(damaged)?;
-    let _claim = MapClaim::on(damaged)?;
+    let _claim = MapClaim::while_reading(damaged)?;
     let mut source = MapFile::open_damaged(damaged)?;
     schema::check_version(&source.connection, damaged)?;
     let (map, lost) = readable(&mut source, keep_going)?;

@@ -7,6 +7,7 @@
 use crate::files;
 use crate::output::{MapUse, RunOutput};
 use crate::plan::RunPlan;
+use crate::plan_paths::check_name;
 use odograph::error::{Error, Result};
 use odograph_map::{MapFile, SessionOrigin};
 use serde::{Deserialize, Serialize};
@@ -73,6 +74,7 @@ pub(crate) fn begin(
         video: output.video.as_deref().map(absolute),
         plan: plan.seen_from(folder),
     };
+    begun.check_names()?;
     let text = toml::to_string(&begun).map_err(|error| {
         Error::output(format!("the parameters cannot be written down: {error}")).caused_by(error)
     })?;
@@ -91,6 +93,12 @@ pub(crate) fn has_half_session(folder: &Path) -> bool {
 }
 
 impl BegunRun {
+    /// Fails if TOML cannot hold the name of a file.
+    fn check_names(&self) -> Result<()> {
+        let mut own = [&self.map, &self.bag, &self.video].into_iter().flatten();
+        own.try_for_each(|path| check_name(path)).and_then(|()| self.plan.check_names())
+    }
+
     /// Reads what a run in this folder has written down.
     pub fn read(folder: &Path) -> Result<Self> {
         let path = begun_file(folder);

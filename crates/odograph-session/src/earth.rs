@@ -25,6 +25,9 @@ pub const GEOJSON: &str = "trajectory.geojson";
 pub const UTM_TABLE: &str = "trajectory-utm.csv";
 pub const UTM_MOSAIC: &str = "mosaic-utm.tif";
 
+/// The positions that a receiver sent during a live run, which are nowhere else.
+pub const RECEIVED_FIXES: &str = "gnss-received.csv";
+
 /// Largest size of a file of fixes, bytes: weeks of NMEA at ten a second.
 const MAX_BYTES: u64 = 256 << 20;
 
@@ -40,6 +43,8 @@ pub struct GnssRecord {
     name: String,
     fixes: Vec<GnssFix>,
     clock_sigma_s: f64,
+    /// Whether they came during the run.
+    is_received: bool,
 }
 
 impl GnssRecord {
@@ -62,13 +67,19 @@ impl GnssRecord {
         };
         fixes.iter_mut().for_each(|fix| fix.time_s -= start_s.unwrap_or(0.0));
         let clock_sigma_s = if start_s.is_some() { STATED_S } else { SYNCHRONISED_S };
-        Ok(Some(Self { name, fixes, clock_sigma_s }))
+        Ok(Some(Self { name, fixes, clock_sigma_s, is_received: false }))
     }
 
     /// Positions that a receiver has sent during the run, by the clock of the frames.
     #[cfg_attr(not(feature = "live"), allow(dead_code))]
     pub fn received(name: String, fixes: Vec<GnssFix>) -> Self {
-        Self { name, fixes, clock_sigma_s: STATED_S }
+        Self { name, fixes, clock_sigma_s: STATED_S, is_received: true }
+    }
+
+    /// The positions that were received during the run, as CSV that a later run reads; `None` if
+    /// there are no such positions.
+    pub fn received_csv(&self) -> Option<String> {
+        (self.is_received && !self.fixes.is_empty()).then(|| gnss_file::write(&self.fixes))
     }
 
     /// The times of the first and the last fix, seconds of the recording.

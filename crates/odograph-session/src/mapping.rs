@@ -7,6 +7,7 @@ use crate::kept_frames::KeptFrames;
 use crate::marker_statistics::MarkerStatistics;
 use crate::markers::MarkerWatch;
 use crate::observer::Observer;
+use crate::other_scale::OtherScale;
 use crate::output::{MapUse, RunOutput};
 use crate::plan::RunPlan;
 use crate::statistics::LoopStatistics;
@@ -41,6 +42,8 @@ pub struct Mapping {
     only_recognised: bool,
     /// Whether a run that is not recognised has a warning; a localization reports this otherwise.
     warns: bool,
+    /// The height at which a run that is not recognised would be.
+    other_scale: Option<OtherScale>,
 }
 
 /// Ground sampling distance of the mosaic of a continued map, in ground pixels at the image centre:
@@ -120,6 +123,7 @@ impl Mapping {
             is_suspended: false,
             only_recognised: matches!(map, MapUse::Extend(_)),
             warns: matches!(map, MapUse::Continue(_)) || output.resumed.is_some(),
+            other_scale: None,
         })
     }
 
@@ -182,6 +186,9 @@ impl Mapping {
         self.mapper.finish();
         if let Some(markers) = &mut self.markers {
             markers.survey(&mut self.mapper);
+        }
+        if !self.mapper.is_recognised() {
+            self.other_scale = OtherScale::of(&self.mapper, self.height_m, &mut self.file);
         }
     }
 
@@ -249,11 +256,18 @@ impl Mapping {
             false => "the path is",
         };
         (self.warns && !self.mapper.is_recognised()).then(|| {
+            let other_scale = self.other_scale.map_or(String::new(), |scale| format!("; {scale}"));
             format!(
-                "nothing of {} was recognised: {outcome} in a frame of its own, which begins at its first frame",
+                "nothing of {} was recognised: {outcome} in a frame of its own, which begins at its first frame{other_scale}",
                 self.file.path.display()
             )
         })
+    }
+
+    /// The height at which the run would have been recognised in the map that it continues or looks
+    /// into; `None` where it was, or where no height helps.
+    pub fn other_scale(&self) -> Option<OtherScale> {
+        self.other_scale
     }
 
     /// Statistics of the markers and warnings about them; `None` where none are looked for.

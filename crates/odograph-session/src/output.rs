@@ -4,8 +4,8 @@ use crate::files;
 use crate::half_session::HalfSession;
 use odograph::error::{Error, Result};
 use odograph_map::SessionOrigin;
+use odograph_video::TemporaryFolder;
 use std::path::{Path, PathBuf};
-use tempfile::TempDir;
 
 /// Use of a map by a run.
 #[derive(Debug, Clone, PartialEq, Eq, Default)]
@@ -116,18 +116,21 @@ impl RunOutput {
     }
 
     /// The folder, with a guard that removes a temporary one.
-    pub fn place(&self) -> Result<(PathBuf, Option<TempDir>)> {
+    pub fn place(&self) -> Result<(PathBuf, Option<TemporaryFolder>)> {
         match &self.folder {
             Some(folder) => Ok((folder.clone(), None)),
             None => {
-                let nowhere = tempfile::tempdir().map_err(|error| {
-                    Error::output(format!(
-                        "a folder for temporary files cannot be made: {error}; set TMPDIR to a folder that can be written"
-                    ))
-                    .caused_by(error)
-                })?;
-                Ok((nowhere.path().to_owned(), Some(nowhere)))
+                let temporary = TemporaryFolder::new()?;
+                Ok((temporary.path().to_owned(), Some(temporary)))
             }
         }
+    }
+}
+
+/// The error of a run whose files are in a temporary folder, with what to do about that folder.
+pub(crate) fn explained(error: Error, temporary: Option<&TemporaryFolder>) -> Error {
+    match temporary {
+        Some(temporary) => temporary.explain(error),
+        None => error,
     }
 }

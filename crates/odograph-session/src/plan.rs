@@ -274,6 +274,7 @@ impl RunPlan {
     /// # Errors
     /// If TOML cannot express a value.
     pub fn text(&self) -> Result<String> {
+        self.check_names()?;
         let body = toml::to_string(self).map_err(|error| {
             Error::output(format!("the parameters cannot be written as TOML: {error}")).caused_by(error)
         })?;

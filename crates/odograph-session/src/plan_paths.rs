@@ -2,6 +2,7 @@
 //! any working directory and moved together with its recording.
 
 use crate::plan::RunPlan;
+use odograph::error::{Error, Result};
 use std::path::{Component, Path, PathBuf};
 
 impl RunPlan {
@@ -22,8 +23,18 @@ impl RunPlan {
         self
     }
 
+    /// Fails if TOML cannot hold the name of a file.
+    pub(crate) fn check_names(&self) -> Result<()> {
+        let mut names = Vec::new();
+        self.clone().each_path(|path| {
+            names.push(path.to_owned());
+            None
+        });
+        names.iter().try_for_each(|name| check_name(name))
+    }
+
     /// Applies `change` to every path of a file; a source that is no file is not changed.
-    fn each_path(&mut self, change: impl Fn(&Path) -> Option<PathBuf>) {
+    fn each_path(&mut self, mut change: impl FnMut(&Path) -> Option<PathBuf>) {
         let source = &mut self.source.path;
         if let Some(other) = change(Path::new(source.as_str()))
             && let Some(text) = other.to_str()
@@ -48,6 +59,17 @@ impl RunPlan {
                 *path = other;
             }
         }
+    }
+}
+
+/// Fails if a name is not UTF-8 text, as all of TOML is.
+pub(crate) fn check_name(name: &Path) -> Result<()> {
+    match name.to_str() {
+        Some(_) => Ok(()),
+        None => Err(Error::usage(format!(
+            "the name {} is not UTF-8 text; rename the file or folder, or make a link to it",
+            name.display()
+        ))),
     }
 }
 

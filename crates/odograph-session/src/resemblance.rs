@@ -1,5 +1,6 @@
 //! Similar places of a map for a recording that was not localized.
 
+use crate::other_scale::OtherScale;
 use odograph::geometry::wrap_angle;
 use odograph::ground_map::MapKeyframe;
 use odograph::keyframe::KeyframeId;
@@ -17,6 +18,8 @@ pub struct Resemblance {
     pub verdict: ResemblanceVerdict,
     /// The places with evidence for them, best first.
     pub places: Vec<AlikePlace>,
+    /// The height at which it would have been recognised.
+    pub other_scale: Option<OtherScale>,
 }
 
 /// Why a recording was not recognised.
@@ -130,7 +133,7 @@ const SAME_HEADING_RAD: f64 = 0.3;
 impl Resemblance {
     /// Compares this run's keyframes with those of the map; the most similar one counts. `None`
     /// without a keyframe.
-    pub(crate) fn of(mapper: &Mapper) -> Option<Self> {
+    pub(crate) fn of(mapper: &Mapper, other_scale: Option<OtherScale>) -> Option<Self> {
         let map = mapper.map();
         let is_new = |keyframe: &&MapKeyframe| keyframe.session == mapper.session();
         let config = PlacesConfig::new(&map.camera, map.rig.first_pose().height_m);
@@ -161,7 +164,7 @@ impl Resemblance {
             None if features < MIN_FEATURES => ResemblanceVerdict::TooFewFeatures,
             None => ResemblanceVerdict::NeverSeen,
         };
-        Some(Self { verdict, places })
+        Some(Self { verdict, places, other_scale })
     }
 }
 

@@ -7,7 +7,7 @@ use crate::folder::OutputFolder;
 use crate::found::{FoundLens, FoundMount};
 use crate::observer::Observer;
 use crate::outcome::RunOutcome;
-use crate::output::RunOutput;
+use crate::output::{RunOutput, explained};
 use crate::overlay_video::OverlayVideo;
 use crate::passes::{assume, calibration_of, examine_beginning};
 use crate::pipeline::{self, Tracked};
@@ -17,13 +17,12 @@ use crate::report::RunReporter;
 use odograph::error::{Error, Result};
 use odograph::self_calibration::MultiPassCalibration;
 use odograph_map::{MapFile, UnfinishedSession};
-use odograph_video::{Source, SourceInfo};
+use odograph_video::{Source, SourceInfo, TemporaryFolder};
 use std::fmt;
 use std::fs;
-use std::path::Path;
+use std::path::{Path, PathBuf};
 use std::sync::Arc;
 use std::time::Instant;
-use tempfile::TempDir;
 
 impl RunBuilder {
     /// Makes everything ready: reads what the options name, opens the source, makes the folder and
@@ -35,6 +34,9 @@ impl RunBuilder {
     pub fn open(&self, observer: &dyn Observer) -> Result<Run> {
         self.output.check_bag()?;
         self.output.video.as_deref().map_or(Ok(()), |video| OverlayVideo::check(video, self.output.force))?;
+        self.check_separate(
+            [&self.output.bag, &self.output.video].into_iter().flatten().map(PathBuf::as_path),
+        )?;
         let (path, temporary) = self.output.place()?;
         let same =
             |a: &Path, b: &Path| fs::canonicalize(a).is_ok_and(|a| fs::canonicalize(b).is_ok_and(|b| a == b));
@@ -45,19 +47,13 @@ impl RunBuilder {
                 false => format!("{shown} is the recording itself; its results need a folder (-o)"),
             }));
         }
-        let outputs = [&self.output.bag, &self.output.video].into_iter().flatten();
-        if let Some(output) = outputs.into_iter().find(|output| same(Path::new(&self.source.path), output)) {
-            return Err(Error::usage(format!(
-                "{} is the recording itself; give what is written another name",
-                output.display()
-            )));
-        }
         // What a killed run has left is not touched before its source can be read.
         let resumed = match &self.resumed {
             Some(plan) => Some((plan.as_ref().clone(), plan.source.open()?)),
             None => None,
         };
-        let folder = OutputFolder::new(&path, &self.output)?;
+        let folder =
+            OutputFolder::new(&path, &self.output).map_err(|error| explained(error, temporary.as_ref()))?;
         let (plan, source) = if let Some(resumed) = resumed {
             resumed
         } else if self.repeats {
@@ -122,7 +118,7 @@ pub struct Run {
     output: RunOutput,
     reporter: Option<Arc<dyn RunReporter>>,
     /// The last field, so that the folder is removed after all else is closed.
-    temporary: Option<TempDir>,
+    temporary: Option<TemporaryFolder>,
 }
 
 impl fmt::Debug for Run {
@@ -152,9 +148,13 @@ impl Run {
     /// # Errors
     /// If the source has no frame, or results cannot be written. What ends the recording early,
     /// such as a damaged file, is an error only after all that was computed has been written.
-    pub fn follow(self, observer: &dyn Observer) -> Result<RunOutcome> {
-        // Removed after all else is closed: variables are dropped in reverse order of declaration.
-        let _temporary = self.temporary;
+    pub fn follow(mut self, observer: &dyn Observer) -> Result<RunOutcome> {
+        // Removed after all else is closed.
+        let temporary = self.temporary.take();
+        self.followed(observer).map_err(|error| explained(error, temporary.as_ref()))
+    }
+
+    fn followed(self, observer: &dyn Observer) -> Result<RunOutcome> {
         let Self { mut plan, source, mut folder, output, reporter, .. } = self;
         let started = Instant::now();
         let sensors = plan.sensors.read(&plan.source.path)?;

@@ -30,6 +30,7 @@
 mod limits;
 mod regular_file;
 mod pipe;
+mod temporary;
 mod guard;
 mod foreign_file;
 mod frame;
@@ -70,3 +71,4 @@ pub use regular_file::{check_regular_file, read_regular_file};
 pub use samples::SampleLayout;
 pub use source::{Source, SourceInfo, is_stream, open};
 pub use source_options::SourceOptions;
+pub use temporary::TemporaryFolder;

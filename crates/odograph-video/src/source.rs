@@ -132,6 +132,10 @@ pub(crate) fn open_kind(path: &Path, options: &SourceOptions) -> Result<Opened> 
     if metadata.is_dir() {
         return pictures::open_folder(path, options);
     }
+    #[cfg(unix)]
+    if std::os::unix::fs::FileTypeExt::is_socket(&metadata.file_type()) {
+        return Err(Error::input("it is a socket, which cannot be opened; give a file or a pipe"));
+    }
     if !metadata.is_file() {
         return open_pipe(pipe::open(path)?, options);
     }

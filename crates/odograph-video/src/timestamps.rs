@@ -54,6 +54,7 @@ impl Timestamps {
     }
 
     fn parse(text: &str) -> Result<Self> {
+        let text = text.trim_start_matches('\u{feff}');
         let nanoseconds_said = text.lines().any(|l| l.contains("[ns]"));
         let mut named = Vec::new();
         let mut in_order = Vec::new();

@@ -192,7 +192,7 @@ fn a_database_that_is_no_recording_is_refused() {
         )
         .unwrap();
     let error = open(&path, &SourceOptions::default()).unwrap_err().to_string();
-    assert!(error.ends_with("an SQLite database and not a recording (a map is given with --map)"), "{error}");
+    assert!(error.ends_with("an SQLite database and not a recording (a map is given with --map, and odograph map info shows it)"), "{error}");
 }
 
 #[test]

@@ -218,7 +218,14 @@ fn print_result(arguments: &LocalizeArguments, report: &RunOutcome) -> Result<()
             console::source(&arguments.source)
         ));
     } else if report.place.is_none() {
-        console::error(&verdict.sentence(&console::source(&arguments.source), &arguments.map, alike.len()));
+        let source = console::source(&arguments.source);
+        let other_scale = report.resemblance.as_ref().and_then(|resemblance| resemblance.other_scale);
+        console::error(&match other_scale {
+            Some(scale) => {
+                format!("not found: {source} resembles nothing in {}; {scale}", console::name(&arguments.map))
+            }
+            None => verdict.sentence(&source, &arguments.map, alike.len()),
+        });
     }
     Ok(())
 }

@@ -263,7 +263,10 @@ fn serve(arguments: &ServeSiteArguments) -> Result<Outcome> {
     };
     // Nothing is made for an address that cannot be served.
     drop(TcpListener::bind(arguments.listen).map_err(|error| {
-        Error::usage(format!("the page cannot be served at {}: {error}", arguments.listen))
+        Error::usage(format!(
+            "the page cannot be served at {}: {error}; give another address or port",
+            arguments.listen
+        ))
     })?);
     files::check_output_folder(&arguments.folder)?;
     files::make_folder(&arguments.folder)?;

@@ -294,6 +294,11 @@ fn live_places_a_path_by_positions_as_they_come() {
     assert!(gnss["fixes"].as_u64().unwrap() > fixes.len() as u64 / 2, "{gnss}");
     let off_m = drive.off_m("live");
     assert!(off_m < 0.03, "{off_m} m, {gnss}");
+    // The positions are kept by the clock of the frames, so that the recording can be run again.
+    drive.run("--gnss live/gnss-received.csv -o again");
+    assert_eq!(drive.statistics("again")["gnss"]["fixes"], gnss["fixes"]);
+    let off_m = drive.off_m("again");
+    assert!(off_m < 0.03, "{off_m} m again");
 }
 
 #[test]

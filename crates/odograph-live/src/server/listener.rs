@@ -57,8 +57,11 @@ impl Listener {
         if !protected && !address.ip().is_loopback() {
             return Err(Error::usage(format!("{address} can be reached by others: that needs a token")));
         }
-        let listener = TcpListener::bind(address)
-            .map_err(|error| Error::usage(format!("the page cannot be served at {address}: {error}")))?;
+        let listener = TcpListener::bind(address).map_err(|error| {
+            Error::usage(format!(
+                "the page cannot be served at {address}: {error}; give another address or port"
+            ))
+        })?;
         let bound = listener.local_addr().unwrap_or(address);
         let state = Arc::new(ListenerState::default());
         let acceptor = thread::Builder::new()

@@ -6,7 +6,7 @@ mod improvement;
 mod smoothing;
 mod statistics;
 
-use crate::earth::{self, GnssRecord, OnEarth};
+use crate::earth::{self, GnssRecord, OnEarth, RECEIVED_FIXES};
 use crate::folder::OutputFolder;
 use crate::found::{FoundLens, FoundReadout};
 use crate::kept_frames::KeptFrames;
@@ -184,6 +184,11 @@ impl Finishing<'_> {
         let frames = improved.corrected.as_mut().unwrap_or(&mut self.tracked.frames);
         let text = self.plan.text_in(self.folder.path())?;
         self.folder.write_trajectories(frames, &self.pose_frames, &text)?;
+        if let Some(received) = self.ending.gnss.and_then(GnssRecord::received_csv)
+            && let Err(error) = self.folder.write(RECEIVED_FIXES, received.as_bytes())
+        {
+            self.fail("the positions of the receiver are not kept", error);
+        }
         let camera = camera_file::write(&self.plan.camera);
         // The camera file of an earlier run may be the input of this one; it is kept.
         let stays = self.folder.holds(FOUND_CAMERA, camera.as_bytes());
@@ -381,6 +386,7 @@ impl Finishing<'_> {
         let map = self.tracked.mapping.written().map(Path::to_owned);
         let closed = self.tracked.mapping.close();
         let mapper = self.tracked.mapping.mapper();
+        let other_scale = self.tracked.mapping.other_scale();
         let looked_for = self.ending.output.map.path().is_some() && place.is_none();
         let statistics = statistics_of(
             &self.tracked,
@@ -397,7 +403,7 @@ impl Finishing<'_> {
                 end: RunEnd::of(&statistics),
                 statistics,
                 trajectory: frames,
-                resemblance: looked_for.then(|| Resemblance::of(mapper)).flatten(),
+                resemblance: looked_for.then(|| Resemblance::of(mapper, other_scale)).flatten(),
                 place,
                 warnings: std::mem::take(&mut self.tracked.warnings),
                 folder: self.folder.path().to_owned(),

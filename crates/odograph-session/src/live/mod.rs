@@ -56,7 +56,7 @@ use crate::folder::OutputFolder;
 use crate::mapping::Mapping;
 use crate::observer::Observer;
 use crate::outcome::RunOutcome;
-use crate::output::RunOutput;
+use crate::output::{RunOutput, explained};
 use crate::plan::{RunPlan, SourcePlan};
 use crate::report::RunReporter;
 use gnss::{GnssReceiver, LiveGnss};
@@ -70,7 +70,7 @@ use odograph::mounting::OnlineCalibration;
 use odograph_live::capture::{Policy, Watch, without_credentials};
 use odograph_live::{Hub, Introduction};
 use odograph_map::MapFile;
-use odograph_video::SourceInfo;
+use odograph_video::{SourceInfo, TemporaryFolder};
 use pipeline::PipelineInput;
 use recorder::Recorder;
 use sinks::LiveSinks;
@@ -78,7 +78,6 @@ use std::fmt;
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
 use std::time::Instant;
-use tempfile::TempDir;
 
 /// What a live run needs beside what every run does.
 #[derive(Debug, Clone, PartialEq, Default)]
@@ -119,8 +118,10 @@ impl RunBuilder {
         open: impl FnOnce(&SourcePlan, &Watch) -> Result<LiveInput>,
     ) -> Result<LiveRun> {
         options.mcap.as_deref().map_or(Ok(()), |path| McapLog::check(path, self.output.force))?;
+        self.check_separate(options.mcap.as_deref())?;
         let (path, temporary) = self.output.place()?;
-        let folder = OutputFolder::new(&path, &self.output)?;
+        let folder =
+            OutputFolder::new(&path, &self.output).map_err(|error| explained(error, temporary.as_ref()))?;
         let watch = Watch::default();
         let (mut plan, input) = self.plan_over(observer, |plan| {
             let input = open(plan, &watch)?;
@@ -202,7 +203,7 @@ pub struct LiveRun {
     output: RunOutput,
     reporter: Option<Arc<dyn RunReporter>>,
     /// Last, so that the folder is removed after all else is closed.
-    temporary: Option<TempDir>,
+    temporary: Option<TemporaryFolder>,
 }
 
 impl fmt::Debug for LiveRun {
@@ -241,9 +242,13 @@ impl LiveRun {
     ///
     /// # Errors
     /// As [`Run::follow`](crate::Run::follow).
-    pub fn follow(self, poses: Option<&mut dyn PoseSink>, observer: &dyn Observer) -> Result<RunOutcome> {
-        // Removed after all else is closed: what is declared first is dropped last.
-        let _temporary = self.temporary;
+    pub fn follow(mut self, poses: Option<&mut dyn PoseSink>, observer: &dyn Observer) -> Result<RunOutcome> {
+        // Removed after all else is closed.
+        let temporary = self.temporary.take();
+        self.followed(poses, observer).map_err(|error| explained(error, temporary.as_ref()))
+    }
+
+    fn followed(self, poses: Option<&mut dyn PoseSink>, observer: &dyn Observer) -> Result<RunOutcome> {
         let Self { plan, info, input, watch, folder, ground, hub, mcap, gnss, output, reporter, .. } = self;
         // Of a map that is continued the lens is the map's.
         let lens_is_known = output.map.path().is_some_and(MapFile::is_there);

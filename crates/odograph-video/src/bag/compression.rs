@@ -2,7 +2,7 @@
 
 use crate::guard::guarded;
 use odograph::error::{Error, Result};
-use std::io::{BufRead, Read, Write};
+use std::io::{self, BufRead, Read, Write};
 
 /// Magic number of a Zstandard frame.
 pub(crate) const ZSTD_MAGIC: [u8; 4] = [0x28, 0xb5, 0x2f, 0xfd];
@@ -37,8 +37,7 @@ impl Compression {
         let outcome = guarded("chunk", || match self {
             Self::None => bytes.take(most).read_to_end(out).map(|_| ()),
             Self::Zstd => {
-                let mut decoder =
-                    ruzstd::decoding::StreamingDecoder::new(bytes).map_err(std::io::Error::other)?;
+                let mut decoder = ruzstd::decoding::StreamingDecoder::new(bytes).map_err(io::Error::other)?;
                 decoder.by_ref().take(most).read_to_end(out).map(|_| ())
             }
             Self::Lz4 => lz4_flex::frame::FrameDecoder::new(bytes).take(most).read_to_end(out).map(|_| ()),
@@ -52,7 +51,12 @@ impl Compression {
 ///
 /// Fails if there are more bytes, or the output cannot be written. False if the data is damaged or
 /// cut off; what could be decompressed before that has been written.
-pub(super) fn unpack_zstd(mut from: impl BufRead, most: u64, to: &mut impl Write) -> Result<bool> {
+pub(super) fn unpack_zstd(
+    mut from: impl BufRead,
+    most: u64,
+    to: &mut impl Write,
+    failed: impl Fn(io::Error) -> Error,
+) -> Result<bool> {
     let mut block = vec![0; 1 << 18];
     let mut written = 0;
     loop {
@@ -78,9 +82,7 @@ pub(super) fn unpack_zstd(mut from: impl BufRead, most: u64, to: &mut impl Write
                     most >> 30
                 )));
             }
-            to.write_all(&block[..read]).map_err(|error| {
-                Error::input(format!("it cannot be unpacked into a temporary file: {error}"))
-            })?;
+            to.write_all(&block[..read]).map_err(&failed)?;
         }
     }
 }
@@ -99,6 +101,7 @@ mod tests {
         assert!(Compression::None.decompress(b"plain", 3, &mut out));
         assert_eq!(out, b"pla");
         assert!(Compression::named("zip").is_err());
-        assert!(!unpack_zstd(&b"no compressed data"[..], 100, &mut out).unwrap());
+        let failed = |error| Error::not_written("out", error);
+        assert!(!unpack_zstd(&b"no compressed data"[..], 100, &mut out, failed).unwrap());
     }
 }

@@ -70,7 +70,7 @@ impl Database {
         let found: i64 = self.connection.query_row(tables, [], |row| row.get(0)).map_err(|e| failed(&e))?;
         if found != 2 {
             return Err(Error::input(
-                "this is an SQLite database and not a recording (a map is given with --map)",
+                "this is an SQLite database and not a recording (a map is given with --map, and odograph map info shows it)",
             ));
         }
         let text = "SELECT id, name, type, serialization_format FROM topics ORDER BY rowid LIMIT 100000";

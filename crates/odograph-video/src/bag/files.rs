@@ -8,10 +8,14 @@ use super::mcap::{self, Mcap};
 use super::recording::{Message, MessageReader, Topic, Topics};
 use super::rosbag1::{self, RosBag1};
 use crate::limits;
+use crate::temporary::TemporaryFolder;
 use odograph::error::{Error, Result};
 use std::fs::File;
 use std::io::{BufReader, Read};
 use std::path::{Path, PathBuf};
+
+/// Name of an unpacked file in its temporary folder.
+const UNPACKED: &str = "recording";
 
 /// Largest file that a compressed one may unpack to, bytes.
 const MAX_UNPACKED: u64 = 64 << 30;
@@ -56,10 +60,10 @@ fn open_file(path: &Path) -> Result<File> {
     File::open(path).map_err(|error| Error::input(format!("cannot be opened: {error}")))
 }
 
-/// An opened file, and the temporary file that it was unpacked to.
+/// An opened file, and the temporary folder that it was unpacked into.
 struct OpenedPart {
     recording: Box<dyn MessageReader>,
-    _unpacked: Option<tempfile::TempPath>,
+    _unpacked: Option<TemporaryFolder>,
     /// Own index of each of its topics.
     topics: Vec<usize>,
 }
@@ -68,11 +72,12 @@ fn open_part(path: &Path) -> Result<OpenedPart> {
     let (format, unpacked, whole) = match BagFormat::of_file(path)? {
         Some(BagFormat::Zstd) => {
             let (unpacked, whole) = unpack(path)?;
-            (BagFormat::of_file(&unpacked)?, Some(unpacked), whole)
+            (BagFormat::of_file(&unpacked.path().join(UNPACKED))?, Some(unpacked), whole)
         }
         format => (format, None, true),
     };
-    let place = unpacked.as_deref().unwrap_or(path);
+    let place = unpacked.as_ref().map(|folder| folder.path().join(UNPACKED));
+    let place = place.as_deref().unwrap_or(path);
     let recording = match format {
         Some(BagFormat::Mcap) => {
             Box::new(ChunkReader::<Mcap>::open(open_file(place)?)?) as Box<dyn MessageReader>
@@ -85,14 +90,15 @@ fn open_part(path: &Path) -> Result<OpenedPart> {
     Ok(OpenedPart { recording, _unpacked: unpacked, topics: Vec::new() })
 }
 
-/// Unpacks a file to a temporary one; false if it is damaged or cut off.
-fn unpack(path: &Path) -> Result<(tempfile::TempPath, bool)> {
-    let failed =
-        |error: std::io::Error| Error::input(format!("it cannot be unpacked into a temporary file: {error}"));
+/// Unpacks a file into a temporary folder; false if it is damaged or cut off.
+fn unpack(path: &Path) -> Result<(TemporaryFolder, bool)> {
     let packed = BufReader::with_capacity(1 << 18, open_file(path)?);
-    let mut file = tempfile::NamedTempFile::new().map_err(failed)?;
-    let whole = unpack_zstd(packed, MAX_UNPACKED, &mut file)?;
-    Ok((file.into_temp_path(), whole))
+    let folder = TemporaryFolder::new()?;
+    let unpacked = folder.path().join(UNPACKED);
+    let failed = |error| folder.explain(Error::not_written(unpacked.display(), error));
+    let mut file = File::create_new(&unpacked).map_err(failed)?;
+    let whole = unpack_zstd(packed, MAX_UNPACKED, &mut file, failed)?;
+    Ok((folder, whole))
 }
 
 /// Whether the content of a compressed file is a recording.

@@ -1,8 +1,8 @@
 //! Tables of numbers, most of them over time: a header line with the column names, then one line
 //! per sample.
 //!
-//! Values are separated by commas, semicolons or white space. Empty lines and lines that begin with
-//! `#` are ignored.
+//! Values are separated by commas, semicolons or white space, and may be in quotation marks. Empty
+//! lines and lines that begin with `#` are ignored.
 
 use crate::error::{Error, Result};
 
@@ -60,8 +60,11 @@ impl<'a> Columns<'a> {
         let Some((line, text)) = self.lines.next() else { return Ok(None) };
         let values: Vec<&str> = words(text).collect();
         if values.len() != self.names.len() {
+            let commas = text.matches(',').count();
+            let has_decimal_commas = !self.header.contains(',') && values.len() == self.names.len() + commas;
+            let hint = if has_decimal_commas { "; write decimals with a point, 0.5 and not 0,5" } else { "" };
             return Err(Error::input(format!(
-                "line {line} has {} values, the first line names {} columns",
+                "line {line} has {} values, the first line names {} columns{hint}",
                 values.len(),
                 self.names.len()
             )));
@@ -92,8 +95,10 @@ impl<'a> Columns<'a> {
     }
 }
 
+/// The values of a line; some programs put names and numbers in quotation marks.
 fn words(line: &str) -> impl Iterator<Item = &str> {
-    line.split(|c: char| c.is_whitespace() || c == ',' || c == ';').filter(|word| !word.is_empty())
+    let is_between = |c: char| c.is_whitespace() || c == ',' || c == ';' || c == '"';
+    line.split(is_between).filter(|word| !word.is_empty())
 }
 
 /// The beginning of a text, for messages.

@@ -111,7 +111,11 @@ fn table(text: &str) -> Result<Table> {
         let line =
             error.span().map_or(1, |span| 1 + text.bytes().take(span.start).filter(|&b| b == b'\n').count());
         let message = error.message().split_whitespace().collect::<Vec<_>>().join(" ");
-        Error::input(format!("line {line} of the rig file is not TOML: {message}"))
+        let value =
+            text.lines().nth(line - 1).and_then(|line| line.split_once('=')).map(|(_, value)| value.trim());
+        let is_decimal_comma = value.is_some_and(|value| value.replacen(',', ".", 1).parse::<f64>().is_ok());
+        let hint = if is_decimal_comma { "; write decimals with a point, 0.5 and not 0,5" } else { "" };
+        Error::input(format!("line {line} of the rig file is not TOML: {message}{hint}"))
     })?;
     if let Some(unknown) = table.keys().find(|key| !KEYS.contains(&key.as_str())) {
         let shown: String = unknown.chars().take(40).flat_map(char::escape_debug).collect();

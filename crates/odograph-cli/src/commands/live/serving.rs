@@ -49,7 +49,8 @@ pub struct Offer {
 impl Offer {
     /// All files of a run's folder.
     pub fn of_run(folder: &Path) -> Self {
-        let files = RUN_FILES.iter().copied().chain(["marks.csv"]).map(str::to_owned).collect();
+        let files =
+            RUN_FILES.iter().copied().chain(["marks.csv", "gnss-received.csv"]).map(str::to_owned).collect();
         Self { folder: folder.to_owned(), files }
     }
 }

@@ -75,7 +75,7 @@ pub fn repair(arguments: &RepairArguments) -> Result<Outcome> {
         return Err(Error::usage("the repaired map needs another name than the damaged one"));
     }
     let _made = files::MadeFolders::of_file(&output)?;
-    let claim = MapClaim::on(&output)?;
+    let claim = MapClaim::on(&output).map_err(|error| elsewhere(error, arguments.output.is_none()))?;
     // An existing file is unchanged after a failure, and no partial map is left.
     let beside = files::beside(&output);
     MapFile::remove(&beside)?;
@@ -130,9 +130,25 @@ fn without(map: &Path, sessions: &[UnfinishedSession], to: &Path) -> Result<Stri
     ))
 }
 
-/// Whether a map can be read and continued as it is.
+/// Whether a map can be read and continued as it is; where nobody may write, whether it can be
+/// read.
 fn is_sound(path: &Path) -> bool {
-    MapFile::open(path).and_then(|mut file| file.check()).is_ok()
+    let opened = MapClaim::while_reading(path).and_then(|claim| match claim {
+        Some(claim) => MapFile::open_claimed(claim),
+        None => MapFile::open_read_only(path),
+    });
+    opened.and_then(|mut file| file.check()).is_ok()
+}
+
+/// The error of a repaired map that cannot be written where no option names its place.
+fn elsewhere(error: Error, is_default: bool) -> Error {
+    let sentence = error.to_string();
+    match sentence.rsplit_once("; ") {
+        Some((what, _)) if is_default => {
+            Error::output(format!("{what}; give a place where you may write with -o FILE"))
+        }
+        _ => error,
+    }
 }
 
 /// Saves what can be read of a damaged map; returns what was saved.

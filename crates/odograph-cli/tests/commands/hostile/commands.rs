@@ -60,6 +60,9 @@ fn fill(place: &HostileFolder) {
     let made = Command::new("mkfifo").arg(place.path("pipe")).status().unwrap();
     assert!(made.success());
     std::os::unix::fs::symlink("endless", place.path("endless")).unwrap();
+    std::os::unix::fs::symlink("nowhere/x", place.path("dangling")).unwrap();
+    drop(std::os::unix::net::UnixListener::bind(place.path("socket")).unwrap());
+    fill_foreign_texts(place);
     fill_videos(place);
     fill_cameras(place);
     fill_times(place);
@@ -107,6 +110,27 @@ fn fill_cameras(place: &HostileFolder) {
         ("twice.toml", "height_m = 1\nheight_m = 2".to_owned()),
     ] {
         fs::write(place.path(name), text).unwrap();
+    }
+}
+
+/// Texts of other programs and countries, and texts that take memory to read.
+fn fill_foreign_texts(place: &HostileFolder) {
+    let utf16 = |text: &str| text.encode_utf16().flat_map(u16::to_le_bytes).collect::<Vec<u8>>();
+    let aliases = (0..9).fold("a0: &a0 [x, x]\n".to_owned(), |text, number| {
+        text + &format!("a{}: &a{0} [{}]\n", number + 1, vec![format!("*a{number}"); 9].join(", "))
+    });
+    for (name, bytes) in [
+        ("utf16.yaml", utf16(CAMERA)),
+        ("utf16.toml", utf16("height_m = 1\n")),
+        ("comma.toml", b"height_m = 0,9\n".to_vec()),
+        ("comma.csv", b"time_s;rate_rad_s\n0,0;0,01\n0,5;0,02\n".to_vec()),
+        ("comma_fixes.csv", b"time_s;latitude_deg;longitude_deg\n0,0;48,2;16,3\n".to_vec()),
+        ("comma.tum", b"0,0 0,0 0 0 0 0 0 1\n1,0 1,0 0 0 0 0 0 1\n".to_vec()),
+        ("aliases.yaml", aliases.into_bytes()),
+        ("deep.yaml", vec![b'['; 100_000]),
+        ("deep.toml", [b"height_m = ".to_vec(), vec![b'['; 100_000]].concat()),
+    ] {
+        fs::write(place.path(name), bytes).unwrap();
     }
 }
 
@@ -180,4 +204,14 @@ fn every_command_refuses_wrong_input_in_one_sentence() {
     }
     assert!(wrong.is_empty(), "{wrong}");
     assert!(calls > 300, "{calls} calls");
+}
+
+#[test]
+fn the_documents_state_the_number_of_calls() {
+    let document = concat!(env!("CARGO_MANIFEST_DIR"), "/../../docs/reliability.md");
+    let stated = format!(
+        "`crates/odograph-cli/tests/commands/hostile/commands.txt` has {} calls",
+        CALLS.lines().count()
+    );
+    assert!(fs::read_to_string(document).unwrap().contains(&stated), "{stated}");
 }

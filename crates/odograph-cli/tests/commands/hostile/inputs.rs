@@ -331,3 +331,69 @@ fn control_characters_of_files_do_not_reach_the_terminal() {
     let done = place.run("drive.y4m --camera evil.yaml --height 1 -o out");
     assert!(!done.stderr.iter().any(|&byte| byte == 0x1b || byte == b'\r'), "{done:?}");
 }
+
+#[test]
+fn a_wrong_height_over_mapped_ground_is_reported() {
+    let place = HostileFolder::new();
+    fs::write(place.path("drive.y4m"), y4m(40)).unwrap();
+    assert!(place.run("drive.y4m --camera camera.yaml --height 1 -o out -q").status.success());
+    let again = place.run("drive.y4m --camera camera.yaml --height 66cm --map out/map.gpkg -o low");
+    assert!(again.status.success());
+    let message = String::from_utf8_lossy(&again.stderr);
+    let found = "its ground is found there if the camera was 1.00 m above it, not 0.66 m: check the height";
+    assert!(
+        message.contains("nothing of out/map.gpkg was recognised") && message.contains(found),
+        "{message}"
+    );
+}
+
+#[test]
+fn texts_with_carriage_returns_and_byte_order_marks_are_read() {
+    let place = HostileFolder::new();
+    fs::write(place.path("drive.y4m"), y4m(90)).unwrap();
+    let of_windows = |text: &str| format!("\u{feff}{}", text.replace('\n', "\r\n"));
+    let gyro: String = (0..31).map(|tenth| format!("\"{}\",\"0.0\"\n", f64::from(tenth) / 10.0)).collect();
+    let times: String = (0..90).map(|frame| format!("{:.3}\n", f64::from(frame) / 30.0)).collect();
+    for (name, text) in [
+        ("windows.yaml", CAMERA),
+        ("windows.toml", "height_m = 1\n"),
+        ("windows.csv", &format!("\"time_s\",\"rate_rad_s\"\n{gyro}")),
+        ("windows.txt", &times),
+    ] {
+        fs::write(place.path(name), of_windows(text)).unwrap();
+    }
+    let options = "--rig windows.toml --gyro windows.csv --timestamps windows.txt";
+    let done = place.run(&format!("drive.y4m --camera windows.yaml {options} -o out"));
+    assert!(done.status.success(), "{}", String::from_utf8_lossy(&done.stderr));
+}
+
+#[test]
+fn decimal_commas_and_foreign_names_are_named() {
+    let place = HostileFolder::new();
+    fs::write(place.path("drive.y4m"), y4m(6)).unwrap();
+    fs::write(place.path("comma.toml"), "height_m = 0,9\n").unwrap();
+    fs::write(place.path("comma.csv"), "time_s;rate_rad_s\n0,0;0,01\n").unwrap();
+    let hint = "; write decimals with a point, 0.5 and not 0,5";
+    place.refused("drive.y4m --camera camera.yaml --rig comma.toml -o out", 3, hint);
+    place.refused_usual("drive.y4m --gyro comma.csv", 3, hint);
+    let aliases = (0..9).fold("a0: &a0 [x, x]\n".to_owned(), |text, number| {
+        text + &format!("a{}: &a{0} [{}]\n", number + 1, vec![format!("*a{number}"); 9].join(", "))
+    });
+    fs::write(place.path("aliases.yaml"), aliases).unwrap();
+    place.refused("drive.y4m --camera aliases.yaml --height 1 -o out", 3, "larger or nested deeper than");
+    #[cfg(unix)]
+    {
+        use std::os::unix::ffi::OsStrExt;
+        std::os::unix::fs::symlink("nowhere", place.path("link.gpkg")).unwrap();
+        place.refused_usual("drive.y4m --map link.gpkg", 3, "link.gpkg is a link that leads nowhere");
+        let mut command = place.command("drive.y4m --camera camera.yaml --height 1 -o out --map");
+        let done = command.arg(std::ffi::OsStr::from_bytes(b"m\xff.gpkg")).output().unwrap();
+        assert_refused(
+            &done,
+            2,
+            "m\u{fffd}.gpkg is not UTF-8 text; rename the file",
+            "a map of another encoding",
+        );
+        assert!(!place.path("out").exists());
+    }
+}

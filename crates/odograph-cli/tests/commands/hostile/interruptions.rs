@@ -268,7 +268,7 @@ fn a_stream_extends_a_map_or_says_why_not() {
 
 /// A full pipe: who writes into it waits.
 #[cfg(target_os = "linux")]
-fn full_pipe(path: &Path) -> fs::File {
+pub(super) fn full_pipe(path: &Path) -> fs::File {
     use std::os::unix::fs::OpenOptionsExt;
     const NONBLOCK: i32 = 0o4000;
     assert!(Command::new("mkfifo").arg(path).status().unwrap().success());

@@ -10,4 +10,6 @@ mod output_options;
 mod outputs;
 mod plans;
 pub mod recording;
-mod run_folder;
+pub mod run_folder;
+#[cfg(target_os = "linux")]
+mod temporary_files;

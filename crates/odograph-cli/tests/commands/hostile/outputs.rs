@@ -1,10 +1,12 @@
 //! Output folders, full disks, and what a run writes.
 
 use super::recording::{PngPicture, names, picture_folder, y4m};
+#[cfg(target_os = "linux")]
+use super::run_folder::Mounted;
 use super::run_folder::{FILES, HostileFolder, assert_refused, assert_whole};
 use std::fs;
 use std::path::Path;
-use std::process::{Command, Stdio};
+use std::process::Command;
 
 #[test]
 fn invalid_outputs_are_refused() {
@@ -140,19 +142,10 @@ fn a_full_file_system() {
     let place = HostileFolder::new();
     fs::write(place.path("drive.y4m"), y4m(40)).unwrap();
     let mounted = place.path("small");
-    fs::create_dir(&mounted).unwrap();
-    let mount = Command::new("mount")
-        .args(["-t", "tmpfs", "-o", "size=20k", "tmpfs"])
-        .arg(&mounted)
-        .stderr(Stdio::null())
-        .status();
-    if !mount.is_ok_and(|status| status.success()) {
-        println!("skipped: mount: a small file system cannot be mounted here");
-        return;
-    }
+    let Some(small) = Mounted::new(&mounted, "size=20k") else { return };
     let done = place.run("drive.y4m --camera camera.yaml --height 1 -o small/out");
     let left = if mounted.join("out").exists() { names(&mounted.join("out")) } else { Vec::new() };
-    assert!(Command::new("umount").arg(&mounted).status().unwrap().success());
+    drop(small);
     assert_refused(&done, 3, "cannot be written", "a file system of 20 KiB");
     assert!(left.iter().all(|name| !name.ends_with(".part")), "{left:?}");
 }

@@ -93,3 +93,35 @@ pub fn assert_refused(done: &Output, code: i32, words: &str, what: &str) {
 pub fn assert_whole(folder: &Path) {
     assert_eq!(names(folder), FILES, "in {}", folder.display());
 }
+
+/// A small file system mounted for a test, which is unmounted when this is dropped.
+#[cfg(target_os = "linux")]
+pub struct Mounted(PathBuf);
+
+#[cfg(target_os = "linux")]
+impl Mounted {
+    /// Makes the folder `at` and mounts one there; `None` where that is not allowed.
+    pub fn new(at: &Path, options: &str) -> Option<Self> {
+        fs::create_dir(at).unwrap();
+        let mut mount = Command::new("mount");
+        let done = mount.args(["-t", "tmpfs", "-o", options, "tmpfs"]).arg(at).stderr(Stdio::null()).status();
+        if done.is_ok_and(|status| status.success()) {
+            return Some(Self(at.to_owned()));
+        }
+        println!("skipped: mount: a small file system cannot be mounted here");
+        None
+    }
+
+    /// Nothing can be written into it from now on.
+    pub fn make_read_only(&self) {
+        let done = Command::new("mount").args(["-o", "remount,ro"]).arg(&self.0).status().unwrap();
+        assert!(done.success());
+    }
+}
+
+#[cfg(target_os = "linux")]
+impl Drop for Mounted {
+    fn drop(&mut self) {
+        let _ = Command::new("umount").arg(&self.0).status();
+    }
+}

@@ -7,6 +7,8 @@ mod floor;
 mod gdal;
 mod joining;
 
+#[cfg(target_os = "linux")]
+use crate::hostile::run_folder::Mounted;
 use odograph::camera::Rig;
 use odograph::formats::trajectory_file;
 use odograph_map::{MapFile, PathFrame};
@@ -335,6 +337,35 @@ fn a_damaged_map_is_repaired() {
     assert!(code == 2 && complaint.contains("another name"), "{complaint}");
     let left = fs::read_dir(folder.path()).unwrap().count();
     assert_eq!(left, 2, "the damaged map and the repaired one");
+}
+
+#[test]
+#[cfg(target_os = "linux")]
+fn a_map_on_a_read_only_medium_is_repaired_elsewhere() {
+    let folder = made();
+    let medium = folder.path().join("medium");
+    let Some(mounted) = Mounted::new(&medium, "size=10m") else { return };
+    fs::copy(folder.path().join("map.gpkg"), medium.join("sound.gpkg")).unwrap();
+    let mut map = MapFile::open(&folder.path().join("map.gpkg")).unwrap();
+    map.add_edges(&[ground::edge_to(99)]).unwrap();
+    map.close().unwrap();
+    fs::copy(folder.path().join("map.gpkg"), medium.join("bad.gpkg")).unwrap();
+    mounted.make_read_only();
+    for (arguments, code, part) in [
+        ("repair medium/sound.gpkg", 0, "no damage found; nothing was written"),
+        ("repair medium/sound.gpkg --drop-unfinished", 0, "every session ended; nothing was written"),
+        ("repair medium/bad.gpkg", 3, "medium/bad-repaired.gpkg cannot be written: Read-only file system"),
+        ("repair medium/bad.gpkg", 3, "; give a place where you may write with -o FILE"),
+        ("repair medium/bad.gpkg -o medium/new.gpkg", 3, "; choose a place where you may write"),
+        ("repair medium/bad.gpkg -o saved.gpkg", 0, "12 keyframes saved, 2 known to be lost"),
+        ("info saved.gpkg --check", 0, "12 in 1 piece"),
+    ] {
+        let arguments: Vec<&str> = arguments.split(' ').collect();
+        let (found, message, complaint) = text(&odograph(&arguments, folder.path()));
+        assert_eq!(found, code, "{arguments:?}: {complaint}");
+        assert!((message + &complaint).contains(part), "{arguments:?}: {complaint}");
+        assert!(complaint.lines().count() == usize::from(code != 0), "{arguments:?}: {complaint}");
+    }
 }
 
 #[test]

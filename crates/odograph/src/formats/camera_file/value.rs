@@ -20,7 +20,8 @@ fn sentence(error: &serde_saphyr::Error) -> String {
         MultipleDocuments { .. } => {
             format!("the camera file holds several YAML documents{line}; keep the one with the camera")
         }
-        Budget { .. } => {
+        // That of aliases is a message within another error.
+        other if matches!(other, Budget { .. }) || other.to_string().contains("budget breached") => {
             format!(
                 "the camera file is larger or nested deeper than any calibration{line}; is this the right file?"
             )

@@ -100,17 +100,20 @@ fn not_later(line: usize, time_s: f64, before_s: f64) -> Error {
 }
 
 /// Writes positions as CSV for [`parse`], to a tenth of a millimetre; of a covariance the standard
-/// deviations.
+/// deviations. Altitudes are left out unless all are known.
 pub fn write(fixes: &[GnssFix]) -> String {
-    let mut text = String::from("time_s,latitude_deg,longitude_deg,altitude_m,sigma_east_m,sigma_north_m\n");
+    let altitudes = fixes.iter().all(|fix| fix.altitude_m.is_some());
+    let named = if altitudes { ",altitude_m" } else { "" };
+    let mut text = format!("time_s,latitude_deg,longitude_deg{named},sigma_east_m,sigma_north_m\n");
     for fix in fixes {
         let covariance = &fix.covariance_m2;
+        let altitude = fix.altitude_m.filter(|_| altitudes);
         text.push_str(&format!(
-            "{:.6},{:.9},{:.9},{:.4},{:.4},{:.4}\n",
+            "{:.6},{:.9},{:.9}{},{:.4},{:.4}\n",
             fix.time_s,
             fix.place.latitude_rad.to_degrees(),
             fix.place.longitude_rad.to_degrees(),
-            fix.altitude_m.unwrap_or(0.0),
+            altitude.map_or(String::new(), |altitude_m| format!(",{altitude_m:.4}")),
             covariance[(0, 0)].sqrt(),
             covariance[(1, 1)].sqrt()
         ));
@@ -134,6 +137,21 @@ mod tests {
         assert_eq!(plain[0].covariance_m2[(0, 0)], 9.0);
         assert_eq!(plain[0].altitude_m, None);
         assert_eq!(parse(&write(&fixes)).unwrap().len(), 2);
+    }
+
+    #[test]
+    fn positions_are_read_as_they_are_written() {
+        let text = "time_s,lat,lon,alt,sigma_m\n1.5,48.2,16.4,200,0.02\n2.5,48.3,16.5,201,0.03\n";
+        let fixes = parse(text).unwrap();
+        let again = parse(&write(&fixes)).unwrap();
+        for (fix, again) in fixes.iter().zip(&again) {
+            assert_eq!((fix.time_s, fix.altitude_m), (again.time_s, again.altitude_m));
+            assert!((fix.place.latitude_rad - again.place.latitude_rad).abs() < 2e-11);
+            assert!((fix.covariance_m2 - again.covariance_m2).norm() < 1e-12);
+        }
+        // An altitude that is not known is not 0.
+        let partly = [fixes[0], GnssFix { altitude_m: None, ..fixes[1] }];
+        assert!(parse(&write(&partly)).unwrap().iter().all(|fix| fix.altitude_m.is_none()));
     }
 
     #[test]
