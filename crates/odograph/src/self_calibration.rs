@@ -42,8 +42,8 @@ pub struct MultiPassCalibration {
     pub rig: Rig,
     /// Correction of its fixed-pattern noise, if an earlier pass found some.
     pub correction: Option<NonuniformityCorrection>,
-    /// Whether the pass takes the ground to be uneven from its first frame on, as an earlier one has
-    /// found it: readout times are compared under one model.
+    /// Whether the pass takes the ground to be uneven from its first frame on, as an earlier one
+    /// has found it: readout times are compared under one model.
     pub uneven_ground: bool,
     /// Whether another mount, lens or readout time ends a pass.
     pub calibrates: bool,

@@ -278,7 +278,7 @@ struct StationaryCovariance {
 /// Between an edge (1) and a smooth bump (2).
 const STONE_POWER: f64 = 1.5;
 
-/// From this part of the sill, the range cannot be seen in a mean squared difference.
+/// From where a mean squared difference is this part of the sill, it shows no range.
 const NEAR_SILL: f64 = 0.9;
 
 /// Range of stones where it is shorter than the distances between points, metres.
@@ -288,11 +288,10 @@ impl StationaryCovariance {
     /// That of these differences; `None` where these are too few.
     fn fitted(differences: &ElevationDifferences) -> Option<Self> {
         let sill_m2 = 0.5 * differences.all.mean_m2()?;
-        let range_m = |(distance_m, squared_m2): (f64, f64)| {
-            let part = 0.5 * squared_m2 / sill_m2;
-            (part < NEAR_SILL).then(|| distance_m / (-(1.0 - part).ln()).powf(1.0 / STONE_POWER))
-        };
-        let ranges = differences.by_distance().filter_map(range_m);
+        let parts = differences.by_distance().map(|(distance_m, m2)| (distance_m, 0.5 * m2 / sill_m2));
+        let ranges = parts
+            .take_while(|(_, part)| *part < NEAR_SILL)
+            .map(|(distance_m, part)| distance_m / (-(1.0 - part).ln()).powf(1.0 / STONE_POWER));
         let (logs, count) =
             ranges.fold((0.0, 0.0), |(logs, count), range_m| (logs + range_m.ln(), count + 1.0));
         let range_m = if count > 0.0 { f64::exp(logs / count).max(LEAST_RANGE_M) } else { LEAST_RANGE_M };
@@ -345,7 +344,9 @@ mod tests {
 
     #[test]
     fn unseen_gravel_is_at_the_level_of_all_stones() {
-        let stone = |x: f64, y: f64| 0.005 * (1e4 * (x * 7.1 + y * 3.3)).sin();
+        // Pseudo-random heights of ±5 mm.
+        let fraction = |x: f64, y: f64| (1299.0 * x + 7823.0 * y).sin().abs() * 43758.5453 % 1.0;
+        let stone = |x: f64, y: f64| 0.01 * (fraction(x, y) - 0.5);
         let beyond = GroundPoint::new(1.2, 0.42);
         assert!(surface(stone).at(beyond).mean_m.abs() < 1e-4, "not at that of the nearest stones");
         let raised = surface(|x, y| 0.05 + stone(x, y));
