@@ -20,7 +20,7 @@ pub enum CameraDifference {
     FixedPattern(NonuniformityCorrection),
     /// Its readout time is unknown and matters: several are to be tried.
     UnknownReadout(ReadoutProfile),
-    /// The mean log residual with the readout time that was tried.
+    /// A readout time was tried; the result.
     TriedReadout(ReadoutTrial),
 }
 

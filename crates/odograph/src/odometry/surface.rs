@@ -13,7 +13,7 @@ use nalgebra::{SMatrix, SVector};
 pub struct Surface {
     points: Vec<(GroundPoint, Elevation)>,
     variogram: Variogram,
-    /// Where so many stones are in view that their mean is the level of the ground.
+    /// `None` unless enough stones are in view for their mean to be the level of the ground.
     stones: Option<StationaryCovariance>,
     mean_m: f64,
     /// Mean of the ground about which stones vary, metres.
@@ -265,8 +265,8 @@ impl Variogram {
     }
 }
 
-/// Covariance of the elevations of two points on stones: falls with the distance, with this power
-/// in the exponent of the natural base.
+/// Powered exponential covariance of the elevations of two points:
+/// sill · exp(−(distance / range)^p) with the power p = [`STONE_POWER`].
 #[derive(Debug, Clone, Copy)]
 struct StationaryCovariance {
     /// Variance of the elevations, metres².
@@ -275,7 +275,7 @@ struct StationaryCovariance {
     range_m: f64,
 }
 
-/// Between an edge (1) and a smooth bump (2).
+/// Between an edge (1) and a smooth bump (2). Not derived; chosen.
 const STONE_POWER: f64 = 1.5;
 
 /// From where a mean squared difference is this part of the sill, it shows no range.

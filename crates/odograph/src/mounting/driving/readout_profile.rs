@@ -32,12 +32,12 @@ const PATH_HEIGHTS: f64 = 12.0;
 pub const KNOWN_READOUT_S: f64 = 1e-3;
 
 /// A shutter is taken to roll if that lowers the mean log residual by this. Measured over gravel,
-/// undulations and kerbs (`docs/math/rolling-shutter.md`): 0.12 to 2 with a readout of 20 ms, at
-/// most 0.024 with a global shutter, and 0.06 with one in a real recording.
+/// undulations and shaken grass (`docs/math/rolling-shutter.md`): 0.6 to 1.9 with a readout of
+/// 20 ms, at most 0.04 with a global shutter.
 const LEAST_GAIN: f64 = 0.1;
 
-/// By this much the mean log residual changes without reason: what global shutters gain over such
-/// ground by a readout time that they do not have.
+/// By this much the mean log residual changes by chance: half of the most that a global shutter has
+/// gained over such ground by a readout time that it does not have.
 const CHANCE_GAIN: f64 = 0.02;
 
 /// Frames are seldom longer apart than a readout takes where they are this far apart, seconds.
@@ -47,7 +47,8 @@ const LONGEST_FRAME_S: f64 = 1.0 / 30.0;
 const ALMOST_GLOBAL_S: f64 = 1e-4;
 
 /// Frames whose skew differs from their keyframe's by less than this, pixels, even with the longest
-/// readout time, say little of it: at a constant velocity nothing tells it from another height.
+/// readout time, contain little information about it: at a constant velocity it cannot be
+/// distinguished from another height of the ground.
 /// Chosen on drives that are shown in `docs/math/rolling-shutter.md`.
 const NOTICEABLE_PX: f64 = 0.5;
 
@@ -98,8 +99,8 @@ impl ReadoutProfile {
         self.tried.iter().any(|(tried_s, _)| (tried_s - readout_s).abs() < 1e-9)
     }
 
-    /// Takes the trial of the readout time that was to be tried. The first one determines how much
-    /// each frame says of it in all.
+    /// Takes the trial of the readout time that was to be tried. The first one determines the
+    /// weight of each frame in all of them.
     pub fn take(&mut self, trial: ReadoutTrial) {
         let log_residual = trial.mean_log_residual();
         self.weights = trial.weights;
