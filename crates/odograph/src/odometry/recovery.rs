@@ -99,7 +99,10 @@ impl Recovery {
         let now = self.registration.view(lost.pyramid, keyframe.mask.as_deref(), &lost.last.pose)?;
         let search =
             RecoverySearch { lost: &lost, now, registration: &self.registration, camera, config, learned };
-        let here = search.look(keyframe, random);
+        // After a jump the heading is known about as well as before; any heading is tried where the
+        // frame most probably is.
+        let jumped = lost.frames == 0;
+        let here = search.look(keyframe, (true, jumped), random);
         let mut decided = here.decided;
         let mut confirmed: Vec<RecoveredFrame> = here
             .measurements
@@ -111,7 +114,7 @@ impl Recovery {
                 break;
             }
             let Some(mut old) = memory.take(index, camera) else { continue };
-            let there = search.look(&mut old, random);
+            let there = search.look(&mut old, (jumped, !jumped), random);
             memory.put_back_at(index, old);
             decided = there.decided;
             let found = there.measurements.into_iter();
@@ -162,12 +165,20 @@ struct Confirmed {
 }
 
 impl RecoverySearch<'_> {
-    /// Searches for the frame in a keyframe: near the expected heading first, then at any.
-    fn look(&self, keyframe: &mut Keyframe, random: &mut Random) -> Confirmed {
+    /// Searches for the frame in a keyframe: near the expected heading, at any heading, or, until it
+    /// is found, both.
+    fn look(&self, keyframe: &mut Keyframe, (near, any): (bool, bool), random: &mut Random) -> Confirmed {
         keyframe.prepare_view(self.registration);
         let turned_rad = wrap_angle(self.lost.expected.heading_rad - keyframe.pose.heading_rad);
-        let as_expected = self.look_at(keyframe, (turned_rad, NEAR_HEADING_RAD), random);
-        if as_expected.decided { as_expected } else { self.look_at(keyframe, (0.0, PI), random) }
+        let headings = [near.then_some((turned_rad, NEAR_HEADING_RAD)), any.then_some((0.0, PI))];
+        let mut confirmed = Confirmed { measurements: Vec::new(), decided: false };
+        for heading_rad in headings.into_iter().flatten() {
+            confirmed = self.look_at(keyframe, heading_rad, random);
+            if confirmed.decided {
+                break;
+            }
+        }
+        confirmed
     }
 
     /// Searches for the frame in a keyframe at headings about the first value within the second,

@@ -210,29 +210,34 @@ fn refine(
             break;
         }
         if !starts.iter().any(|(_, other)| other.is_near(&start, 2.0 * ROTATION_STEP_RAD)) {
-            let quality = refinement::compare(keyframe, now, &start, 1).map_or(0.0, |found| found.quality());
-            starts.push((quality, start));
+            let found = refinement::compare(keyframe, now, &start, COARSE_STEPS.1);
+            starts.push((found.map_or(0.0, |found| found.quality()), start));
         }
     }
-    starts.sort_by(|a, b| b.0.total_cmp(&a.0));
-    starts.truncate(PEAKS_PER_HYPOTHESIS * options.hypotheses);
-    let mut found: Vec<(ViewPlacement, Hypothesis)> = Vec::new();
-    for (_, start) in starts {
-        let improve = |from, effort| refinement::improve(keyframe, now, from, options.scale_free, effort);
-        let improved = improve(start, COARSE_STEPS).and_then(|(coarsely, _)| improve(coarsely, FINE_STEPS));
-        let Some((placement, overlap_correlation)) = improved else { continue };
-        let score = overlap_correlation.quality() / noise;
-        let duplicate =
-            found.iter_mut().find(|(other, _)| other.is_near(&placement, 0.5 * ROTATION_STEP_RAD));
-        let hypothesis = placement.hypothesis(keyframe, now, &overlap_correlation, score);
-        match duplicate {
-            Some(duplicate) if duplicate.1.score < score => *duplicate = (placement, hypothesis),
-            Some(_) => {}
-            None => found.push((placement, hypothesis)),
+    let improve = |from, effort| refinement::improve(keyframe, now, from, options.scale_free, effort);
+    best_of(&mut starts, PEAKS_PER_HYPOTHESIS * options.hypotheses);
+    let mut coarse: Vec<_> = starts.iter().filter_map(|(_, start)| improve(*start, COARSE_STEPS)).collect();
+    best_of(&mut coarse, options.hypotheses);
+    let mut fine: Vec<_> = coarse.iter().filter_map(|(_, start)| improve(*start, FINE_STEPS)).collect();
+    best_of(&mut fine, options.hypotheses);
+    let hypothesis = |(quality, placement): &(f64, ViewPlacement)| {
+        let overlap = refinement::compare(keyframe, now, placement, FINE_STEPS.1)?;
+        Some(placement.hypothesis(keyframe, now, &overlap, quality / noise))
+    };
+    fine.iter().filter_map(hypothesis).collect()
+}
+
+/// Keeps the best placements, the best first, and of several at one place only the best.
+fn best_of(placements: &mut Vec<(f64, ViewPlacement)>, count: usize) {
+    placements.sort_by(|a, b| b.0.total_cmp(&a.0));
+    let mut kept: Vec<(f64, ViewPlacement)> = Vec::with_capacity(count);
+    for (quality, placement) in placements.drain(..) {
+        let is_same = |(_, other): &(f64, ViewPlacement)| other.is_near(&placement, 0.5 * ROTATION_STEP_RAD);
+        if kept.len() < count && !kept.iter().any(is_same) {
+            kept.push((quality, placement));
         }
     }
-    found.sort_by(|a, b| b.1.score.total_cmp(&a.1.score));
-    found.into_iter().take(options.hypotheses).map(|(_, hypothesis)| hypothesis).collect()
+    *placements = kept;
 }
 
 #[cfg(test)]

@@ -82,27 +82,26 @@ impl ViewPlacement {
 const RADIUS: f64 = 35.0;
 
 /// Coordinate ascent from a placement to the local maximum of the correlation, with step lengths
-/// `steps` in samples, on one in `stride` samples along each side. `None` where the views hardly
-/// overlap.
+/// `steps` in samples, on one in `stride` samples along each side, with its quality. `None` where
+/// the views hardly overlap.
 pub(super) fn improve(
     keyframe: &GroundView,
     now: &GroundView,
     start: ViewPlacement,
     scale_free: bool,
     (steps, stride): (&[f64], usize),
-) -> Option<(ViewPlacement, OverlapCorrelation)> {
-    let mut best = (start, compare(keyframe, now, &start, stride)?);
+) -> Option<(f64, ViewPlacement)> {
+    let quality = |placement: &ViewPlacement| Some(compare(keyframe, now, placement, stride)?.quality());
+    let mut best = (quality(&start)?, start);
     let axes = if scale_free { 4 } else { 3 };
     for &step in steps {
         let mut improved = true;
         while std::mem::take(&mut improved) {
             for axis in 0..axes {
                 for by in [step, -step] {
-                    let next = best.0.moved(axis, by);
-                    if let Some(found) =
-                        compare(keyframe, now, &next, stride).filter(|f| f.quality() > best.1.quality())
-                    {
-                        best = (next, found);
+                    let next = best.1.moved(axis, by);
+                    if let Some(found) = quality(&next).filter(|found| *found > best.0) {
+                        best = (found, next);
                         improved = true;
                         break;
                     }
