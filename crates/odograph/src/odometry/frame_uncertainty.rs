@@ -2,10 +2,10 @@
 //! against, and those that all frames share.
 
 use super::Odometry;
-use super::keyframe::KeyframeUpdate;
+use super::keyframe::{Keyframe, KeyframeUpdate};
 use crate::geometry::pose_index::{HEIGHT, PITCH, ROLL};
 use crate::geometry::{GroundPose, propagated};
-use crate::motion::{MotionEstimate, MotionModel, PoseRates};
+use crate::motion::{MotionEstimate, MotionModel, PoseRates, ShutterEstimate};
 use nalgebra::{Matrix6, Matrix6x2};
 
 /// Covariance of a pose by what is independent from keyframe to keyframe, and its derivatives by
@@ -48,13 +48,38 @@ impl Odometry {
         estimate: &MotionEstimate,
         update: &KeyframeUpdate,
     ) -> FrameUncertainty {
+        if let (Some(keyframe), Some(seen)) = (&self.keyframe, &estimate.shutter) {
+            self.own_by_readout = by_own_readout(keyframe, seen);
+        }
+        let uncertainty = match &self.keyframe {
+            Some(keyframe) => self.uncertainty_against(keyframe, estimate, update),
+            None => FrameUncertainty {
+                covariance: estimate.covariance,
+                model_covariance: estimate.model_covariance,
+                by_readout: PoseRates::zeros(),
+                by_mount_tilt: Matrix6x2::zeros(),
+            },
+        };
+        self.by_mount_tilt = uncertainty.by_mount_tilt;
+        uncertainty
+    }
+
+    /// How certain a frame is that was measured against a keyframe.
+    pub(super) fn uncertainty_against(
+        &self,
+        keyframe: &Keyframe,
+        estimate: &MotionEstimate,
+        update: &KeyframeUpdate,
+    ) -> FrameUncertainty {
         let from_keyframe = |covariance: &Matrix6<f64>| propagated(&estimate.by_keyframe, covariance);
-        let (by_skew, by_readout) = self.shutter_errors(estimate);
+        let own = estimate.shutter.as_ref().map_or(self.own_by_readout, |seen| by_own_readout(keyframe, seen));
         FrameUncertainty {
-            covariance: from_keyframe(&update.covariance) + estimate.covariance + by_skew,
+            covariance: from_keyframe(&update.covariance)
+                + estimate.covariance
+                + keyframe.covariance_by_skew(estimate),
             model_covariance: from_keyframe(&update.model_covariance) + estimate.model_covariance,
-            by_readout,
-            by_mount_tilt: self.by_mount_tilt(estimate),
+            by_readout: estimate.by_keyframe * keyframe.by_readout + own,
+            by_mount_tilt: self.mount_tilt_against(keyframe, estimate),
         }
     }
 
@@ -71,21 +96,9 @@ impl Odometry {
             + self.learned.level_covariance(pose)
     }
 
-    /// What the skew of the keyframe adds to the covariance of a frame, and how the frame's pose
-    /// changes with the readout time.
-    fn shutter_errors(&mut self, estimate: &MotionEstimate) -> (Matrix6<f64>, PoseRates) {
-        let Some(keyframe) = &self.keyframe else { return Default::default() };
-        let of_keyframe = estimate.by_keyframe * keyframe.by_readout;
-        let Some(seen) = &estimate.shutter else {
-            return (Matrix6::zeros(), of_keyframe + self.own_by_readout);
-        };
-        self.own_by_readout = seen.pose_by_keyframe_skew * keyframe.shutter.rates
-            + seen.pose_by_expected_skew * seen.expected_rates;
-        (keyframe.covariance_by_skew(estimate), of_keyframe + self.own_by_readout)
-    }
-
-    /// How the frame's pose changes with roll and pitch of the mount.
-    fn by_mount_tilt(&mut self, estimate: &MotionEstimate) -> Matrix6x2<f64> {
+    /// How the pose of a frame that was measured against a keyframe changes with roll and pitch of
+    /// the mount.
+    fn mount_tilt_against(&self, keyframe: &Keyframe, estimate: &MotionEstimate) -> Matrix6x2<f64> {
         if self.config.motion.model != MotionModel::Auto {
             return Matrix6x2::zeros();
         }
@@ -97,9 +110,25 @@ impl Odometry {
             by_prior.row_mut(i).scale_mut(1.0 - share[i]);
             by_prior[(i, i)] += share[i];
         }
-        let of_keyframe =
-            self.keyframe.as_ref().map_or_else(Matrix6x2::zeros, |keyframe| keyframe.by_mount_tilt);
-        self.by_mount_tilt = estimate.by_keyframe * of_keyframe + estimate.by_prior_tilt * by_prior;
-        self.by_mount_tilt
+        estimate.by_keyframe * keyframe.by_mount_tilt + estimate.by_prior_tilt * by_prior
+    }
+}
+
+/// How the pose of a frame changes with the readout time, that of the keyframe left out.
+fn by_own_readout(keyframe: &Keyframe, seen: &ShutterEstimate) -> PoseRates {
+    seen.pose_by_keyframe_skew * keyframe.shutter.rates + seen.pose_by_expected_skew * seen.expected_rates
+}
+
+impl FrameUncertainty {
+    /// That of `a + gain (b − a)`, for two measurements with these uncertainties and this
+    /// covariance of the sum. What the errors of the model do to both is taken to be one error.
+    pub fn fused(a: &Self, b: &Self, gain: &Matrix6<f64>, covariance: Matrix6<f64>) -> Self {
+        let share = (gain.trace() / 6.0).clamp(0.0, 1.0);
+        Self {
+            covariance,
+            model_covariance: (1.0 - share) * a.model_covariance + share * b.model_covariance,
+            by_readout: a.by_readout + gain * (b.by_readout - a.by_readout),
+            by_mount_tilt: a.by_mount_tilt + gain * (b.by_mount_tilt - a.by_mount_tilt),
+        }
     }
 }

@@ -57,6 +57,8 @@ pub struct FrameReference {
 pub(super) struct Before {
     pub id: KeyframeId,
     pub pose: GroundPose,
+    /// The new keyframe's pose as measured against it.
+    pub frame: GroundPose,
     /// Of the new keyframe's pose given the one before, in the world's axes.
     pub covariance: Matrix6<f64>,
     pub kind: EdgeKind,
@@ -94,8 +96,8 @@ impl Odometry {
             from: before.id,
             to: id,
             kind: before.kind,
-            motion: relative_motion(&before.pose, &keyframe.pose),
-            covariance: motion_covariance(&before.pose, &keyframe.pose, &before.covariance),
+            motion: relative_motion(&before.pose, &before.frame),
+            covariance: motion_covariance(&before.pose, &before.frame, &before.covariance),
         });
         events.push(KeyframeEvent::Made(Box::new(NewKeyframe {
             id,

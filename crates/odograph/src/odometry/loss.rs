@@ -134,6 +134,7 @@ impl Odometry {
             covariance.column_mut(k).fill(0.0);
             covariance[(k, k)] = next.covariance[(k, k)];
         }
-        Some(Before { id: before.id?, pose: before.pose, covariance, kind: EdgeKind::Gap })
+        let (pose, frame) = (before.pose, next.pose);
+        Some(Before { id: before.id?, pose, frame, covariance, kind: EdgeKind::Gap })
     }
 }

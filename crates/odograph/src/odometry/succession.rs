@@ -1,11 +1,13 @@
 //! Choice of the next keyframe: an older one if the camera has returned to it, otherwise a new one.
 
+use super::ambiguity::CHANCE_INLIER_RATIO;
 use super::found_corner::FoundCorner;
 use super::frame_uncertainty::FrameUncertainty;
 use super::keyframe::{Keyframe, KeyframeUpdate};
 use super::keyframe_event::Before;
-use super::{Odometry, tracking};
-use crate::geometry::GroundPose;
+use super::tracking::{self, Measurement};
+use super::Odometry;
+use crate::geometry::{GroundPose, propagated};
 use crate::image::Pyramid;
 use crate::keyframe::{EdgeKind, KeyframeId};
 use crate::motion::{MotionEstimate, MotionModel, PoseRates, Random};
@@ -23,6 +25,26 @@ const UNAMBIGUOUS_PX: f64 = 2.0;
 /// Number of frames of a keyframe after which the next one is prepared in two halves. A camera that
 /// needs new keyframes all the time needs all corners at once.
 const LEISURE_FRAMES: u64 = 8;
+
+/// What came of a look for an older keyframe. The image is returned where it becomes a keyframe.
+enum Revisit {
+    /// An older one serves from here on.
+    Serves,
+    /// A measurement against an older one, of which too little is in view, improved the frame.
+    Improves(Pyramid, Box<(GroundPose, FrameUncertainty)>),
+    /// No older one is in view, or what was measured there does not agree.
+    No(Pyramid),
+}
+
+/// Least part of an older keyframe in view for a frame to be measured against it.
+const LEAST_OVERLAP: f64 = 0.5;
+
+/// The nearest covariance to a symmetric matrix.
+fn positive_part(matrix: &Matrix6<f64>) -> Matrix6<f64> {
+    let mut eigen = (0.5 * (matrix + matrix.transpose())).symmetric_eigen();
+    eigen.eigenvalues.apply(|value| *value = value.max(0.0));
+    eigen.recompose()
+}
 
 impl Odometry {
     /// Whether too little of the keyframe will be visible in the next frame, by the predicted
@@ -44,13 +66,14 @@ impl Odometry {
         update: &KeyframeUpdate,
         uncertainty: &FrameUncertainty,
     ) {
-        let FrameUncertainty { covariance, model_covariance, by_readout, by_mount_tilt } = *uncertainty;
-        let pose = estimate.pose;
         self.learned.rig_prior.change_keyframe();
-        let pyramid = match self.revisit(pyramid, estimate, &covariance) {
-            Ok(()) => return,
-            Err(pyramid) => pyramid,
+        let (pyramid, improved) = match self.revisit(pyramid, estimate, uncertainty) {
+            Revisit::Serves => return,
+            Revisit::Improves(pyramid, improved) => (pyramid, Some(improved)),
+            Revisit::No(pyramid) => (pyramid, None),
         };
+        let (pose, uncertainty) = improved.map_or((estimate.pose, *uncertainty), |improved| *improved);
+        let FrameUncertainty { covariance, model_covariance, by_readout, by_mount_tilt } = uncertainty;
         let mut next =
             Keyframe::to_be_prepared(pyramid, pose, covariance, self.fixed.mask(), &self.config.detection);
         if !next.can_be_followed(2 * self.config.motion.minimum_inliers) {
@@ -61,7 +84,7 @@ impl Odometry {
             // The edge starts from the keyframe as this frame corrects it.
             let pose = GroundPose::from_vector(&(before.pose.to_vector() + update.moved));
             let covariance = before.relative_covariance(estimate, self.config.motion.model);
-            Some(Before { id: before.id?, pose, covariance, kind })
+            Some(Before { id: before.id?, pose, frame: estimate.pose, covariance, kind })
         });
         next.in_halves = self.frames - self.serves_since >= LEISURE_FRAMES;
         next.model_covariance = model_covariance;
@@ -81,20 +104,22 @@ impl Odometry {
         }
     }
 
-    /// Reuses an older keyframe in view if the pose measured against it agrees with the present
-    /// one. Returns the image if there is none.
-    pub(super) fn revisit(
+    /// Measures the frame against an older keyframe in view. If that agrees with the present one,
+    /// the older one serves for the following frames or, if too little of it is in view, improves
+    /// the pose of this one.
+    fn revisit(
         &mut self,
         pyramid: Pyramid,
         estimate: &MotionEstimate,
-        covariance: &Matrix6<f64>,
-    ) -> std::result::Result<(), Pyramid> {
-        let pose = &estimate.pose;
+        uncertainty: &FrameUncertainty,
+    ) -> Revisit {
+        let (pose, covariance) = (&estimate.pose, &uncertainty.covariance);
         if self.config.motion.model == MotionModel::Mean {
-            return Err(pyramid);
+            return Revisit::No(pyramid);
         }
-        let Some(old) = self.memory.take_best(&self.camera, pose, self.config.keyframe.revisit) else {
-            return Err(pyramid);
+        let parts = (LEAST_OVERLAP, self.config.keyframe.revisit);
+        let Some((overlap, old)) = self.memory.take_best(&self.camera, pose, parts) else {
+            return Revisit::No(pyramid);
         };
         let mut random = Random::new(self.frames);
         let pixel_m = pose.height_m / self.camera.focal_px().0;
@@ -113,26 +138,37 @@ impl Odometry {
             &self.learned,
             &mut random,
         );
-        let agreed = measured.ok().filter(|m| {
+        let agrees = |m: &Measurement| {
             let found = &m.estimate.pose;
-            m.support >= self.enough_support()
+            m.inlier_ratio(&old, &self.camera) >= CHANCE_INLIER_RATIO * self.learned.usual_inlier_ratio()
                 && (found.x_m - pose.x_m).hypot(found.y_m - pose.y_m) < position_m
                 && (found.heading_rad - pose.heading_rad).abs() < heading_rad
-        });
-        let Some(measurement) = agreed else {
-            self.memory.put_back(old);
-            return Err(pyramid);
         };
-        let found = measurement.estimate.pose;
+        let Some(measurement) = measured.ok().filter(agrees) else {
+            self.memory.put_back(old);
+            return Revisit::No(pyramid);
+        };
+        let by_old = &measurement.estimate;
         if let Some(present) = &self.keyframe {
             let by_present = present.relative_covariance(estimate, self.config.motion.model);
-            let by_old = old.relative_covariance(&measurement.estimate, self.config.motion.model);
-            self.record_revisit(&old, (pose, &by_present), (&found, &by_old));
+            let covariance = old.relative_covariance(by_old, self.config.motion.model);
+            self.record_revisit(&old, (pose, &by_present), (&by_old.pose, &covariance));
         }
-        self.serve_from_here(old.id, found);
-        if let Some(before) = self.keyframe.replace(old) {
-            self.memory.remember(before.retire());
-        }
+        let serves =
+            overlap >= self.config.keyframe.revisit && measurement.support >= self.enough_support();
+        let result = if serves {
+            let found = by_old.pose;
+            self.serve_from_here(old.id, found);
+            if let Some(before) = self.keyframe.replace(old) {
+                self.memory.remember(before.retire());
+            }
+            (found, Revisit::Serves)
+        } else {
+            let improved = self.improved_by_older(&old, by_old, (pose, uncertainty));
+            self.memory.put_back(old);
+            (improved.0, Revisit::Improves(pyramid, Box::new(improved)))
+        };
+        let (found, revisit) = result;
         // The revisited place is more certain than the path since: position and filter are
         // corrected, the velocity stays.
         if let Some(last) = &mut self.last {
@@ -141,7 +177,30 @@ impl Odometry {
         if let Some(filter) = &mut self.filter {
             filter.shift([found.x_m - pose.x_m, found.y_m - pose.y_m, found.heading_rad - pose.heading_rad]);
         }
-        Ok(())
+        revisit
+    }
+
+    /// The pose of a frame by the present keyframe, improved by a measurement against an older one.
+    /// What the older one is off by, both have in common.
+    fn improved_by_older(
+        &self,
+        old: &Keyframe,
+        by_old: &MotionEstimate,
+        (pose, present): (&GroundPose, &FrameUncertainty),
+    ) -> (GroundPose, FrameUncertainty) {
+        let update = old.improved_by(by_old);
+        let older = self.uncertainty_against(old, by_old, &update);
+        let moved = by_old.by_keyframe * update.moved;
+        let moved = PoseRates::new(moved[0], moved[1], moved[2], 0.0, 0.0, 0.0);
+        let common = propagated(&by_old.by_keyframe, &update.covariance);
+        let since = positive_part(&(present.covariance - common));
+        let own = older.covariance - common;
+        let Some(information) = (since + own).try_inverse() else { return (*pose, *present) };
+        let gain = since * information;
+        let covariance = common + since - gain * since;
+        let difference = by_old.pose.to_vector() + moved - pose.to_vector();
+        let improved = GroundPose::from_vector(&(pose.to_vector() + gain * difference));
+        (improved, FrameUncertainty::fused(present, &older, &gain, 0.5 * (covariance + covariance.transpose())))
     }
 
     /// Makes another keyframe the reference of the following frames; its own pose of the present

@@ -32,20 +32,26 @@ impl KeyframeMemory {
         }
     }
 
-    /// Removes and returns the keyframe of which a camera at `pose` sees most, if that is at least
-    /// `least` of its image.
-    pub fn take_best(&mut self, camera: &Camera, pose: &GroundPose, least: f64) -> Option<Keyframe> {
+    /// Removes and returns a keyframe of which a camera at `pose` sees at least the part `least` of
+    /// the image, with that part: the one of which it sees most if that is at least `most`,
+    /// otherwise the one whose own pose is known best.
+    pub fn take_best(
+        &mut self,
+        camera: &Camera,
+        pose: &GroundPose,
+        (least, most): (f64, f64),
+    ) -> Option<(f64, Keyframe)> {
         let seen = ViewingPose::new(*pose);
         let rays = image_grid(camera);
-        let overlap = |record: &KeyframeRecord| overlap(&record.pose, &rays, camera, &seen);
-        let best = self
-            .records
-            .iter()
-            .enumerate()
-            .map(|(i, record)| (overlap(record), i))
+        let in_view: Vec<(f64, usize)> = (self.records.iter().enumerate())
+            .map(|(i, record)| (overlap(&record.pose, &rays, camera, &seen), i))
             .filter(|(overlap, _)| *overlap >= least)
-            .max_by(|a, b| a.0.total_cmp(&b.0))?;
-        self.take(best.1, camera)
+            .collect();
+        let spread_m2 = |i: usize| self.records[i].spread_m2();
+        let best = in_view.iter().filter(|(overlap, _)| *overlap >= most).max_by(|a, b| a.0.total_cmp(&b.0));
+        let surest = || in_view.iter().min_by(|a, b| spread_m2(a.1).total_cmp(&spread_m2(b.1)));
+        let &(overlap, index) = best.or_else(surest)?;
+        Some((overlap, self.take(index, camera)?))
     }
 
     /// Sets height and tilt of all records to those of `mount`, if given.

@@ -5,6 +5,7 @@ use super::super::surface::Surface;
 use super::Keyframe;
 use crate::fixed_pattern::ImageMask;
 use crate::geometry::GroundPose;
+use crate::geometry::pose_index::{HEADING, HEIGHT, PITCH, ROLL, X, Y};
 use crate::image::Pyramid;
 use crate::keyframe::KeyframeId;
 use crate::motion::{GroundView, PoseRates, RollingShutter};
@@ -29,6 +30,14 @@ pub struct KeyframeRecord {
     pub(super) view: Option<GroundView>,
     /// Whether its pose is connected with the present one by measurement.
     pub(super) reachable: bool,
+}
+
+impl KeyframeRecord {
+    /// Mean square error of what it saw, metres²: of its position, height and angles.
+    pub(super) fn spread_m2(&self) -> f64 {
+        let of = |i: usize| self.covariance[(i, i)];
+        of(X) + of(Y) + of(HEIGHT) + self.pose.height_m.powi(2) * (of(HEADING) + of(ROLL) + of(PITCH))
+    }
 }
 
 impl Keyframe {
