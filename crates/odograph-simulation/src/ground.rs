@@ -1,6 +1,7 @@
 //! The ground as a raster that is computed on demand.
 
 use super::floor_markers::FloorMarkers;
+use super::noise::LatticeCache;
 use super::patterns::ground_shadow;
 use super::texture::{Texture, luminance};
 use odograph::error::{Error, Result};
@@ -125,17 +126,20 @@ impl Ground {
             markers.near(GroundPoint::new(middle(chunk_x), middle(chunk_y)), STRIDE as f64 * texel_m)
         });
         let mut samples = vec![0u16; plane * self.channels()];
+        let mut cache = LatticeCache::default();
         for j in 0..STRIDE {
             for i in 0..STRIDE {
                 let place =
                     |chunk: i64, inside: usize| (chunk * CHUNK as i64 + inside as i64 - 1) as f64 * texel_m;
                 let point = GroundPoint::new(place(chunk_x, i), place(chunk_y, j));
-                let mut color = self.texture.color(point, 2.0 * texel_m, self.seed);
+                cache.rewind();
+                let mut color = self.texture.color_beside(&mut cache, point, 2.0 * texel_m, self.seed);
                 if let Some(near) = &near {
                     near.cover(point, 2.0 * texel_m, &mut color);
                 }
                 if self.shadow > 0.0 {
-                    let dark = 1.0 - self.shadow * ground_shadow(self.seed as u32, (point.x_m, point.y_m));
+                    let dark = 1.0
+                        - self.shadow * ground_shadow(&mut cache, self.seed as u32, (point.x_m, point.y_m));
                     color = color.map(|c| c * dark);
                 }
                 let store = |value: f32| (value * SAMPLE_SCALE + 0.5) as u16;

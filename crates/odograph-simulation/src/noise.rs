@@ -31,22 +31,89 @@ pub(super) fn cell(seed: u32, x: i32, y: i32) -> f32 {
 /// with continuous second derivatives.
 #[inline]
 pub(super) fn value_noise(seed: u32, x: f64, y: f64) -> f32 {
-    let (floor_x, floor_y) = (x.floor(), y.floor());
-    let (u, v) = ((x - floor_x) as f32, (y - floor_y) as f32);
-    // The lattice wraps after 2³² cells, which is farther than any path reaches.
-    let (i, j) = (floor_x as i64 as i32, floor_y as i64 as i32);
+    let ((i, u), (j, v)) = (cell_and_rest(x), cell_and_rest(y));
+    interpolated(corners(seed, i, j), u, v)
+}
+
+/// Largest integer not above `x`, and what remains. The lattice wraps after 2³² cells, which is
+/// farther than any path reaches.
+#[inline]
+fn cell_and_rest(x: f64) -> (i32, f32) {
+    // To this sum, integers are exact and lie in the lowest bits: without SSE 4.1, `f64::floor` is
+    // a call of a function.
+    const SHIFT: f64 = 1.5 * (1u64 << 52) as f64;
+    let shifted = x + SHIFT;
+    let nearest = shifted - SHIFT;
+    let is_above = nearest > x;
+    let floor = if is_above { nearest - 1.0 } else { nearest };
+    ((shifted.to_bits() as i32).wrapping_sub(i32::from(is_above)), (x - floor) as f32)
+}
+
+/// Random values of a cell's corners: left and right above, left and right below.
+#[inline]
+fn corners(seed: u32, i: i32, j: i32) -> [f32; 4] {
+    let (right, below) = (i.wrapping_add(1), j.wrapping_add(1));
+    [cell(seed, i, j), cell(seed, right, j), cell(seed, i, below), cell(seed, right, below)]
+}
+
+#[inline]
+fn interpolated([left, right, left_below, right_below]: [f32; 4], u: f32, v: f32) -> f32 {
     let fade = |t: f32| t * t * t * (t * (t * 6.0 - 15.0) + 10.0);
     let (a, b) = (fade(u), fade(v));
-    let (right, below) = (i.wrapping_add(1), j.wrapping_add(1));
-    let top = cell(seed, i, j) * (1.0 - a) + cell(seed, right, j) * a;
-    let bottom = cell(seed, i, below) * (1.0 - a) + cell(seed, right, below) * a;
+    let top = left * (1.0 - a) + right * a;
+    let bottom = left_below * (1.0 - a) + right_below * a;
     2.0 * (top * (1.0 - b) + bottom * b) - 1.0
+}
+
+/// Corners of the lattice cells that noise was last evaluated in, in the order of evaluation.
+/// Neighbouring points lie in the same cells of most octaves, and hashing takes most of the time.
+#[derive(Debug, Default)]
+pub(super) struct LatticeCache {
+    cells: Vec<LatticeCell>,
+    next: usize,
+}
+
+#[derive(Debug, Clone, Copy)]
+struct LatticeCell {
+    index: (u32, i32, i32),
+    corners: [f32; 4],
+}
+
+impl LatticeCache {
+    /// To be called before the evaluations at another point.
+    pub(super) fn rewind(&mut self) {
+        self.next = 0;
+    }
+
+    /// [`value_noise`].
+    #[inline]
+    pub(super) fn value_noise(&mut self, seed: u32, x: f64, y: f64) -> f32 {
+        let ((i, u), (j, v)) = (cell_and_rest(x), cell_and_rest(y));
+        let index = (seed, i, j);
+        let at = self.next;
+        self.next += 1;
+        match self.cells.get_mut(at) {
+            Some(known) if known.index == index => interpolated(known.corners, u, v),
+            known => {
+                let cell = LatticeCell { index, corners: corners(seed, i, j) };
+                match known {
+                    Some(known) => *known = cell,
+                    None => self.cells.push(cell),
+                }
+                interpolated(cell.corners, u, v)
+            }
+        }
+    }
 }
 
 /// Contrast, 0 to 1, of a structure of size `spacing_m` in a pixel with a footprint of
 /// `footprint_m`: fades out structures that would alias.
 #[inline]
 pub(super) fn visibility(spacing_m: f64, footprint_m: f64) -> f32 {
+    // Most structures are much larger, and a division takes long.
+    if spacing_m > 3.0 * footprint_m {
+        return 1.0;
+    }
     smooth_step((spacing_m / footprint_m - 1.1) / 1.7) as f32
 }
 
@@ -61,6 +128,7 @@ pub(super) fn smooth_step(t: f64) -> f64 {
 /// and so on. Amplitudes fall by the factor `roughness` per octave and sum to 1. Successive octaves
 /// are rotated to hide the lattice.
 pub(super) fn fractal(
+    cache: &mut LatticeCache,
     seed: u32,
     (x_m, y_m): (f64, f64),
     footprint_m: f64,
@@ -74,7 +142,7 @@ pub(super) fn fractal(
         let seen = visibility(spacing_m, footprint_m);
         if seen > 0.0 {
             let octave_seed = seed.wrapping_add(octave.wrapping_mul(0x9E37_79B9));
-            sum += strength * seen * value_noise(octave_seed, x / spacing_m, y / spacing_m);
+            sum += strength * seen * cache.value_noise(octave_seed, x / spacing_m, y / spacing_m);
         }
         total += strength;
         strength *= roughness;

@@ -1,6 +1,6 @@
 //! Photographs of floors, tiled over the ground plane.
 
-use super::noise::{cell, fractal};
+use super::noise::{LatticeCache, cell, fractal};
 use odograph::error::{Error, Result};
 use odograph::image::RgbImage;
 use serde::{Deserialize, Serialize};
@@ -66,7 +66,13 @@ impl Photograph {
     }
 
     /// Colour at a ground point; see [`super::Texture::color`].
-    pub(super) fn color(&self, seed: u32, at: (f64, f64), footprint_m: f64) -> [f32; 3] {
+    pub(super) fn color(
+        &self,
+        cache: &mut LatticeCache,
+        seed: u32,
+        at: (f64, f64),
+        footprint_m: f64,
+    ) -> [f32; 3] {
         // Interpolates between the two levels whose pixels are about as large as the footprint,
         // biased towards the coarser one.
         let fineness =
@@ -79,8 +85,8 @@ impl Photograph {
         }
         // Low-frequency variation of brightness and tint over metres, so that tiles differ at large
         // scale.
-        let light = 1.0 + 0.10 * fractal(seed ^ 91, at, footprint_m, 1.7, 3, 0.6);
-        let warmth = 0.04 * fractal(seed ^ 92, at, footprint_m, 2.3, 2, 0.6);
+        let light = 1.0 + 0.10 * fractal(cache, seed ^ 91, at, footprint_m, 1.7, 3, 0.6);
+        let warmth = 0.04 * fractal(cache, seed ^ 92, at, footprint_m, 2.3, 2, 0.6);
         [color[0] * light * (1.0 + warmth), color[1] * light, color[2] * light * (1.0 - warmth)]
             .map(|v| v.clamp(0.0, 255.0))
     }
@@ -212,8 +218,8 @@ mod tests {
     fn mirrored_photographs_have_no_seams() {
         let photograph = Photograph::new(&speckled(), 0.01, Tiling::Mirror).unwrap();
         let edge = 0.64;
-        let before = photograph.color(0, (edge - 1e-6, 0.2), 0.01);
-        let after = photograph.color(0, (edge + 1e-6, 0.2), 0.01);
+        let before = photograph.color(&mut LatticeCache::default(), 0, (edge - 1e-6, 0.2), 0.01);
+        let after = photograph.color(&mut LatticeCache::default(), 0, (edge + 1e-6, 0.2), 0.01);
         assert!((0..3).all(|c| (before[c] - after[c]).abs() < 0.1), "{before:?} {after:?}");
     }
 
@@ -222,7 +228,16 @@ mod tests {
         let photograph = Photograph::new(&speckled(), 0.01, Tiling::Scatter).unwrap();
         let line = |offset: f64| -> Vec<f64> {
             (0..4000)
-                .map(|i| f64::from(photograph.color(4, (offset + f64::from(i) * 0.01, 0.3), 0.01)[1]))
+                .map(|i| {
+                    f64::from(
+                        photograph.color(
+                            &mut LatticeCache::default(),
+                            4,
+                            (offset + f64::from(i) * 0.01, 0.3),
+                            0.01,
+                        )[1],
+                    )
+                })
                 .collect()
         };
         let (here, there) = (line(0.0), line(0.64));

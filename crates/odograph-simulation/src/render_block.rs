@@ -49,12 +49,28 @@ pub(super) struct RenderBlock {
     pub(super) shade: Vec<f32>,
 }
 
-/// 4 × 4 samples of a chunk and their interpolation weights.
-pub(super) struct TextureSampler<'a> {
-    chunk: &'a Chunk,
-    start: usize,
-    weights_x: [f32; 4],
-    weights_y: [f32; 4],
+/// Where the pixels of a row sample the texture: the first of 4 × 4 samples of each, and their
+/// interpolation weights. An array each, because loops over them are computed four at a time.
+pub(super) struct RowSamples {
+    is_ground: [bool; BLOCK],
+    chunk: [u32; BLOCK],
+    start: [u32; BLOCK],
+    weights_x: [[f32; BLOCK]; 4],
+    weights_y: [[f32; BLOCK]; 4],
+}
+
+/// Largest integer not above `x`, and what remains; of numbers from 0 to 4 million, which no block
+/// exceeds.
+#[inline]
+fn texel_and_rest(x: f32) -> (u32, f32) {
+    // To this sum, integers are exact and lie in the lowest bits: a conversion saturates, and is
+    // therefore not computed four at a time.
+    const SHIFT: f32 = (1 << 23) as f32;
+    let shifted = x + SHIFT;
+    let nearest = shifted - SHIFT;
+    let is_above = nearest > x;
+    let floor = if is_above { nearest - 1.0 } else { nearest };
+    (((shifted.to_bits() & 0x7F_FFFF).wrapping_sub(u32::from(is_above))) & 0x3F_FFFF, x - floor)
 }
 
 impl RenderBlock {
@@ -201,17 +217,28 @@ impl RenderBlock {
             (chunks as i64, (metres / texel_m - chunks * CHUNK as f64) as f32)
         };
         let ((chunk_x, rest_x), (chunk_y, rest_y)) = (split(origin.x_m), split(origin.y_m));
-        let (mut least, mut most) = ([f32::INFINITY; 2], [f32::NEG_INFINITY; 2]);
+        // Of each column, because that is computed four columns at a time. NaN is ignored.
+        let (mut least_x, mut least_y) = ([f32::INFINITY; BLOCK], [f32::INFINITY; BLOCK]);
+        let (mut most_x, mut most_y) = ([f32::NEG_INFINITY; BLOCK], [f32::NEG_INFINITY; BLOCK]);
         for row in 0..self.rows {
-            for at in row * BLOCK..row * BLOCK + self.columns {
-                let x = self.x_m[at] * per_metre + rest_x;
-                let y = self.y_m[at] * per_metre + rest_y;
-                (self.x[at], self.y[at]) = (x, y);
-                // `min` and `max` ignore NaN.
-                least = [least[0].min(x), least[1].min(y)];
-                most = [most[0].max(x), most[1].max(y)];
+            let of_row = row * BLOCK..row * BLOCK + self.columns;
+            let metres = self.x_m[of_row.clone()].iter().zip(&self.y_m[of_row.clone()]);
+            let texels = self.x[of_row.clone()].iter_mut().zip(&mut self.y[of_row]);
+            let least = least_x.iter_mut().zip(&mut least_y);
+            let most = most_x.iter_mut().zip(&mut most_y);
+            for ((((x_m, y_m), texel), least), most) in metres.zip(texels).zip(least).zip(most) {
+                let x = x_m * per_metre + rest_x;
+                let y = y_m * per_metre + rest_y;
+                (*texel.0, *texel.1) = (x, y);
+                *least.0 = if x < *least.0 { x } else { *least.0 };
+                *least.1 = if y < *least.1 { y } else { *least.1 };
+                *most.0 = if x > *most.0 { x } else { *most.0 };
+                *most.1 = if y > *most.1 { y } else { *most.1 };
             }
         }
+        let least = [least_x, least_y].map(|of_columns| of_columns.into_iter().fold(f32::INFINITY, f32::min));
+        let most =
+            [most_x, most_y].map(|of_columns| of_columns.into_iter().fold(f32::NEG_INFINITY, f32::max));
         if !(least[0].is_finite() && least[1].is_finite()) {
             (self.chunk_columns, self.chunk_rows) = (0, 0);
             return 0;
@@ -223,10 +250,9 @@ impl RenderBlock {
         self.first_chunk = (chunk_x + first_x, chunk_y + first_y);
         let (shift_x, shift_y) = ((first_x * CHUNK as i64) as f32, (first_y * CHUNK as i64) as f32);
         for row in 0..self.rows {
-            for at in row * BLOCK..row * BLOCK + self.columns {
-                self.x[at] -= shift_x;
-                self.y[at] -= shift_y;
-            }
+            let of_row = row * BLOCK..row * BLOCK + self.columns;
+            self.x[of_row.clone()].iter_mut().for_each(|x| *x -= shift_x);
+            self.y[of_row].iter_mut().for_each(|y| *y -= shift_y);
         }
         self.chunk_columns.max(self.chunk_rows) as i64
     }
@@ -241,37 +267,55 @@ impl RenderBlock {
         }
     }
 
-    #[inline]
-    pub(super) fn sampler(&self, [x, y]: [f32; 2]) -> Option<TextureSampler<'_>> {
-        let inside = x >= 0.0 && y >= 0.0; // false for NaN
-        if !inside {
-            return None;
-        }
-        let (column, row) = (x as usize, y as usize);
-        let (chunk_column, chunk_row) = (column / CHUNK, row / CHUNK);
-        let chunk = self.chunks.get(chunk_row * self.chunk_columns + chunk_column)?;
-        Some(TextureSampler {
-            chunk,
-            // The stored chunk begins one texel before its own first.
-            start: (row % CHUNK) * STRIDE + column % CHUNK,
-            weights_x: cubic_weights(x - column as f32),
-            weights_y: cubic_weights(y - row as f32),
-        })
-    }
-}
-
-impl TextureSampler<'_> {
-    #[inline]
-    pub(super) fn sample(&self, channel: usize) -> f32 {
-        let plane = self.chunk.plane(channel);
-        let mut sum = [0.0f32; 4];
-        for j in 0..4 {
-            let row = &plane[self.start + j * STRIDE..][..4];
-            for i in 0..4 {
-                sum[i] += self.weights_y[j] * f32::from(row[i]);
+    /// Where the pixels of a row sample the texture.
+    pub(super) fn row_samples(&self, row: usize) -> RowSamples {
+        let mut samples = RowSamples {
+            is_ground: [false; BLOCK],
+            chunk: [0; BLOCK],
+            start: [0; BLOCK],
+            weights_x: [[0.0; BLOCK]; 4],
+            weights_y: [[0.0; BLOCK]; 4],
+        };
+        let x: &[f32; BLOCK] = self.x[row * BLOCK..].first_chunk().unwrap_or(&[f32::NAN; BLOCK]);
+        let y: &[f32; BLOCK] = self.y[row * BLOCK..].first_chunk().unwrap_or(&[f32::NAN; BLOCK]);
+        let chunk_columns = self.chunk_columns as u32;
+        for i in 0..BLOCK {
+            let ((column, right), (row, below)) = (texel_and_rest(x[i]), texel_and_rest(y[i]));
+            let (weights_x, weights_y) = (cubic_weights(right), cubic_weights(below));
+            for k in 0..4 {
+                samples.weights_x[k][i] = weights_x[k];
+                samples.weights_y[k][i] = weights_y[k];
             }
+            samples.is_ground[i] = x[i] >= 0.0 && y[i] >= 0.0; // false for NaN
+            samples.chunk[i] = row / CHUNK as u32 * chunk_columns + column / CHUNK as u32;
+            // The stored chunk begins one texel before its own first.
+            samples.start[i] = (row % CHUNK as u32) * STRIDE as u32 + column % CHUNK as u32;
         }
-        let value: f32 = (0..4).map(|i| sum[i] * self.weights_x[i]).sum();
-        (value * (1.0 / SAMPLE_SCALE)).clamp(0.0, 255.0)
+        samples
+    }
+
+    /// The texture at the pixels of a row, gray levels of a channel; NaN where no ground is seen.
+    pub(super) fn texture_row(&self, samples: &RowSamples, channel: usize) -> [f32; BLOCK] {
+        let mut sums = [[f32::NAN; 4]; BLOCK];
+        for (i, sum) in sums.iter_mut().enumerate().take(self.columns) {
+            if !samples.is_ground[i] {
+                continue;
+            }
+            let Some(chunk) = self.chunks.get(samples.chunk[i] as usize) else { continue };
+            let plane = &chunk.plane(channel)[samples.start[i] as usize..];
+            let Some(window) = plane.first_chunk::<{ 3 * STRIDE + 4 }>() else { continue };
+            let mut lanes = [0.0f32; 4];
+            for j in 0..4 {
+                let weight = samples.weights_y[j][i];
+                for (k, lane) in lanes.iter_mut().enumerate() {
+                    *lane += weight * f32::from(window[j * STRIDE + k]);
+                }
+            }
+            *sum = lanes;
+        }
+        std::array::from_fn(|i| {
+            let value: f32 = (0..4).map(|k| sums[i][k] * samples.weights_x[k][i]).sum();
+            (value * (1.0 / SAMPLE_SCALE)).clamp(0.0, 255.0)
+        })
     }
 }

@@ -172,18 +172,18 @@ impl Renderer {
         let pixels = self.width * self.height;
         for row in 0..block.rows {
             let start = (block.top + row) * self.width + block.left;
-            for column in 0..block.columns {
-                let at = row * BLOCK + column;
-                let texel = [block.x[at], block.y[at]];
-                let Some(sampler) = block.sampler(texel) else {
-                    for channel in 0..ground.channels() {
-                        image[channel * pixels + start + column] += weight * SKY;
-                    }
-                    continue;
-                };
-                let weight = if shaded { weight * block.shade[at] } else { weight };
-                for channel in 0..ground.channels() {
-                    image[channel * pixels + start + column] += weight * sampler.sample(channel);
+            let samples = block.row_samples(row);
+            for channel in 0..ground.channels() {
+                let texture = block.texture_row(&samples, channel);
+                let image = &mut image[channel * pixels + start..][..block.columns];
+                for (column, (sample, gray)) in image.iter_mut().zip(texture).enumerate() {
+                    *sample += if gray.is_nan() {
+                        weight * SKY
+                    } else if shaded {
+                        weight * block.shade[row * BLOCK + column] * gray
+                    } else {
+                        weight * gray
+                    };
                 }
             }
         }

@@ -1,5 +1,6 @@
 //! Textures of the ground.
 
+use super::noise::LatticeCache;
 use super::patterns;
 use super::photograph::{Photograph, Tiling};
 use odograph::error::Result;
@@ -77,28 +78,39 @@ impl Texture {
     /// The colour (red, green, blue; gray levels 0 to 255) of a pixel whose footprint is about
     /// `footprint_m` × `footprint_m` around `point`.
     pub fn color(&self, point: GroundPoint, footprint_m: f64, seed: u64) -> [f32; 3] {
+        self.color_beside(&mut LatticeCache::default(), point, footprint_m, seed)
+    }
+
+    /// [`Texture::color`], beside a point for which the cache was used before.
+    pub(super) fn color_beside(
+        &self,
+        cache: &mut LatticeCache,
+        point: GroundPoint,
+        footprint_m: f64,
+        seed: u64,
+    ) -> [f32; 3] {
         let at = (point.x_m, point.y_m);
         let noise_seed = seed as u32 ^ (seed >> 32) as u32;
         match self {
-            Self::Asphalt => patterns::asphalt(noise_seed, at, footprint_m),
-            Self::Carpet => patterns::carpet(noise_seed, at, footprint_m),
-            Self::Tiles => patterns::tiles(noise_seed, at, footprint_m),
-            Self::Bricks => patterns::bricks(noise_seed, at, footprint_m),
-            Self::Grass => patterns::grass(noise_seed, at, footprint_m),
-            Self::Concrete => patterns::concrete(noise_seed, at, footprint_m),
-            Self::Bare => patterns::bare(noise_seed, at, footprint_m),
-            Self::Photograph(photograph) => photograph.color(noise_seed, at, footprint_m),
+            Self::Asphalt => patterns::asphalt(cache, noise_seed, at, footprint_m),
+            Self::Carpet => patterns::carpet(cache, noise_seed, at, footprint_m),
+            Self::Tiles => patterns::tiles(cache, noise_seed, at, footprint_m),
+            Self::Bricks => patterns::bricks(cache, noise_seed, at, footprint_m),
+            Self::Grass => patterns::grass(cache, noise_seed, at, footprint_m),
+            Self::Concrete => patterns::concrete(cache, noise_seed, at, footprint_m),
+            Self::Bare => patterns::bare(cache, noise_seed, at, footprint_m),
+            Self::Photograph(photograph) => photograph.color(cache, noise_seed, at, footprint_m),
             Self::Patchwork { first, second, patch_m } => {
-                let share = patterns::patch(noise_seed, at, *patch_m);
+                let share = patterns::patch(cache, noise_seed, at, *patch_m);
                 // Only the borders of patches evaluate both textures.
                 if share <= 0.0 {
-                    return first.color(point, footprint_m, seed);
+                    return first.color_beside(cache, point, footprint_m, seed);
                 }
-                let inside = second.color(point, footprint_m, seed);
+                let inside = second.color_beside(cache, point, footprint_m, seed);
                 if share >= 1.0 {
                     return inside;
                 }
-                let outside = first.color(point, footprint_m, seed);
+                let outside = first.color_beside(cache, point, footprint_m, seed);
                 std::array::from_fn(|c| outside[c] + share * (inside[c] - outside[c]))
             }
         }

@@ -15,6 +15,17 @@ use crate::filter::fusion::{Quantity, SensorRecord, Sensors};
 use crate::geometry::GroundPose;
 use crate::image::GrayImage;
 use odograph_simulation::odograph as built;
+use std::collections::BTreeMap;
+use std::sync::{Arc, Mutex};
+
+/// A ground of this texture, the same one for all tests: most of the time of rendering is that of
+/// rasterising ground that no test has looked at before.
+pub fn shared_ground(texture: &str, footprint_m: f64, seed: u64) -> Arc<Ground> {
+    static GROUNDS: Mutex<BTreeMap<(String, u64, u64), Arc<Ground>>> = Mutex::new(BTreeMap::new());
+    let known_as = (texture.to_owned(), footprint_m.to_bits(), seed);
+    let new = || Ground::new(Texture::named(texture).unwrap(), footprint_m, false, seed).unwrap();
+    GROUNDS.lock().unwrap().entry(known_as).or_insert_with(|| Arc::new(new())).clone()
+}
 
 /// Renders views of a ground.
 pub struct Renderer(odograph_simulation::Renderer);

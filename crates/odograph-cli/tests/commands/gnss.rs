@@ -1,6 +1,6 @@
 //! Black-box tests of a satellite receiver: where a path is on Earth.
 
-use super::program::{done, odograph};
+use super::program::{done, done_once, odograph};
 use nalgebra::{Isometry3, Point3};
 use odograph::camera::{LeverArm, Rig};
 use odograph::formats::rig_file;
@@ -39,7 +39,7 @@ impl Drive {
     fn new() -> Self {
         let place = tempfile::tempdir().unwrap();
         let here = place.path();
-        done(
+        done_once(
             here,
             "simulate -o sim --path eight --length 3 --speed 0.7 --fps 15 --size 320x240 --height 0.75 --yaw 30 \
              --seed 6 --quiet",

@@ -1,6 +1,7 @@
 //! Black-box tests of `odograph ground`: rigs from images of a board and from driving, and refused
 //! input.
 
+use crate::program::done_once;
 use odograph::camera::{Camera, Distortion, Rig};
 use odograph::formats::{camera_file, rig_file};
 use odograph::geometry::GroundPose;
@@ -159,13 +160,11 @@ fn unsuitable_input_is_refused_in_one_sentence() {
 /// A folder with a rendered `drive` whose camera has a roll of 3° and a pitch of −2.5°.
 fn tilted_drive() -> tempfile::TempDir {
     let temporary = tempfile::tempdir().unwrap();
-    let drive = temporary.path().join("drive");
-    let mut arguments =
-        vec!["simulate", "-q", "--size", "320x240", "--path", "eight", "--length", "1.7", "--rolling"];
-    arguments.extend(["--fps", "12", "--speed", "0.6", "--roll", "3", "--pitch", "-2.5", "--height", "0.75"]);
-    arguments.extend(["-o", drive.to_str().unwrap()]);
-    let made = odograph(&arguments);
-    assert!(made.status.success(), "{}", said(&made));
+    done_once(
+        temporary.path(),
+        "simulate -q --size 320x240 --path eight --length 1.7 --rolling --fps 12 --speed 0.6 --roll 3 --pitch -2.5 \
+         --height 0.75 -o drive",
+    );
     temporary
 }
 

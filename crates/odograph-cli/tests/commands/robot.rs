@@ -1,6 +1,6 @@
 //! Black-box tests of the robot's frame: a camera on a lever arm.
 
-use super::program::{odograph, printed};
+use super::program::{done_once, odograph, printed};
 use nalgebra::Isometry3;
 use odograph::camera::{LeverArm, Rig};
 use odograph::formats::rig_file;
@@ -11,7 +11,7 @@ use std::path::Path;
 /// A drive in bends, filmed by a camera whose image is turned on the robot, and its rig with a
 /// lever arm.
 fn recorded(folder: &Path) -> Rig {
-    printed(
+    done_once(
         folder,
         "simulate -o sim --path eight --length 1.5 --speed 0.5 --duration 4 --fps 20 --size 240x180 --height 0.75 --yaw 90 \
          --seed 4 --quiet",

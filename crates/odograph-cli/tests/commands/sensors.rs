@@ -46,7 +46,7 @@ fn worst_m(estimate: &Trajectory, truth: &Trajectory, when: impl Fn(f64) -> bool
 fn the_path_does_not_jump_after_a_gap() {
     let place = tempfile::tempdir().unwrap();
     let here = place.path();
-    done(here, "simulate -o sim --path eight --fps 10 --blackout 5:7 --seed 1 --quiet");
+    done(here, "simulate -o sim --path eight --fps 10 --size 320x240 --blackout 5:7 --seed 1 --quiet");
     run(here, "-o out --quiet");
     let truth = trajectory(&here.join("sim/truth.tum"));
     let found = trajectory(&here.join("out/trajectory.tum"));

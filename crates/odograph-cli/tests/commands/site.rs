@@ -60,7 +60,7 @@ fn two_runs_share_the_map_of_a_site_that_was_killed() {
     let run = format!("{} --camera {DEMO}/camera.yaml --rig {DEMO}/rig.toml --quiet", drive.display());
     let serving = Serving::new(folder, "127.0.0.1:0");
     let url = serving.url.clone();
-    done(folder, &format!("run {run} -o one --site {url} --robot one"));
+    done(folder, &format!("run {run} --max-frames 400 -o one --site {url} --robot one"));
     let status: Value =
         serde_json::from_slice(&std::fs::read(folder.join("one/site.json")).unwrap()).unwrap();
     assert_eq!(status["ended"], true);
@@ -82,7 +82,9 @@ fn two_runs_share_the_map_of_a_site_that_was_killed() {
     assert!((0..600).any(|_| connected()), "both robots saw the same ground");
     // A killed run is run again as the robot that it was, and sent.
     let mut killed =
-        odograph(folder, &format!("run {run} -o three --site {url} --robot three")).spawn().unwrap();
+        odograph(folder, &format!("run {run} --max-frames 400 -o three --site {url} --robot three"))
+            .spawn()
+            .unwrap();
     let frames = folder.join("three/trajectory.csv.part");
     while std::fs::metadata(&frames).map_or(0, |frames| frames.len()) == 0 {
         assert!(killed.try_wait().unwrap().is_none(), "it ended before it was killed");

@@ -104,20 +104,22 @@ fn a_page_is_served_at_what_people_type() {
 fn the_command_that_the_demo_prints_can_be_pasted() {
     let temporary = tempfile::tempdir().unwrap();
     let folder = temporary.path();
-    let said = done(folder, &["demo"]);
+    // Results that are there already are replaced only if that is asked for.
+    fs::create_dir(folder.join("odograph-demo")).unwrap();
+    fs::write(folder.join("odograph-demo/stats.json"), "of another run").unwrap();
+    let refused = odograph(folder, &["demo"]);
+    assert_eq!(refused.status.code(), Some(2));
+    assert!(
+        message(&refused).contains("is already there; choose another folder with -o, or --force"),
+        "{refused:?}"
+    );
+    let said = done(folder, &["demo", "--force"]);
     let command = said.lines().find(|line| line.contains(" run ")).unwrap().trim();
     let pasted = Command::new("sh").args(["-c", command]).current_dir(folder).output().unwrap();
     assert!(pasted.status.success(), "{command}: {}", message(&pasted));
     let path = |run: &str| fs::read(folder.join(run).join("trajectory.tum")).unwrap();
     assert!(path("odograph-demo") == path("odograph-demo-again"));
-    // A second demo replaces nothing unasked.
-    let again = odograph(folder, &["demo"]);
-    assert_eq!(again.status.code(), Some(2));
-    assert!(
-        message(&again).contains("is already there; choose another folder with -o, or --force"),
-        "{again:?}"
-    );
-    done(folder, &["demo", "--force", "-q"]);
+    assert!(fs::read_to_string(folder.join("odograph-demo/stats.json")).unwrap().starts_with('{'));
 }
 
 #[test]

@@ -2,7 +2,7 @@ use super::*;
 use crate::camera::{Camera, Distortion};
 use crate::geometry::GroundPose;
 use crate::motion::Random;
-use crate::simulation::{Ground, Renderer, Texture};
+use crate::simulation::{Renderer, shared_ground};
 
 const HEIGHT_M: f64 = 0.75;
 
@@ -13,7 +13,7 @@ fn images(texture: &str, poses: impl Iterator<Item = (f64, f64)>) -> Vec<GrayIma
     let camera = Camera::new((320, 240), (250.0, 250.0), (160.5, 119.0), lens).unwrap();
     let renderer = Renderer::new(&camera);
     let footprint_m = renderer.footprint_m(HEIGHT_M);
-    let ground = Ground::new(Texture::named(texture).unwrap(), footprint_m, false, 3).unwrap();
+    let ground = shared_ground(texture, footprint_m, 3);
     let mut random = Random::new(5);
     let image = |(x_m, heading_rad): (f64, f64)| {
         let mut image =

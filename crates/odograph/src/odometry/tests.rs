@@ -4,8 +4,9 @@ use crate::geometry::wrap_angle;
 use crate::motion::Random;
 use crate::simulation::{
     Effects, Ground, Kerb, Path, PathKind, Renderer, Simulation, SimulationConfig, Terrain, Texture,
-    Undulation,
+    Undulation, shared_ground,
 };
+use std::sync::Arc;
 
 mod lossy;
 mod moving;
@@ -21,7 +22,7 @@ const FRAME_S: f64 = 1.0 / 30.0;
 struct World {
     camera: Camera,
     renderer: Renderer,
-    ground: Ground,
+    ground: Arc<Ground>,
 }
 
 impl World {
@@ -29,8 +30,7 @@ impl World {
         let distortion = Distortion::from_opencv(&[-0.12, 0.03, 0.0005, -0.0003]).unwrap();
         let camera = Camera::new((640, 480), (500.0, 500.0), (321.0, 238.5), distortion).unwrap();
         let renderer = Renderer::new(&camera);
-        let texture = Texture::named(texture).unwrap();
-        let ground = Ground::new(texture, renderer.footprint_m(HEIGHT_M), false, 3).unwrap();
+        let ground = shared_ground(texture, renderer.footprint_m(HEIGHT_M), 3);
         Self { camera, renderer, ground }
     }
 

@@ -4,7 +4,7 @@ use crate::keyframe::relative_pose::{compose, relative_motion};
 use crate::keyframe::{EdgeKind, KeyframeId, MapEdge};
 use crate::motion::Random;
 use crate::odometry::{KeyframeEvent, NewKeyframe};
-use crate::simulation::{Ground, Renderer, Texture};
+use crate::simulation::{Ground, Renderer, shared_ground};
 use crate::trajectory::{PlaneMeasurement, TrackStatus};
 use nalgebra::{Matrix4, Matrix6, Vector4};
 
@@ -26,8 +26,7 @@ impl SlamWorld {
     fn new(texture: &str) -> Self {
         let camera = camera();
         let renderer = Renderer::new(&camera);
-        let texture = Texture::named(texture).unwrap();
-        let ground = Ground::new(texture, renderer.footprint_m(HEIGHT_M), false, 3).unwrap();
+        let ground = shared_ground(texture, renderer.footprint_m(HEIGHT_M), 3);
         Self { camera, ground: Box::new(move |pose| renderer.gray_view(&ground, pose)), noise: 3 }
     }
 
@@ -472,9 +471,8 @@ fn lane(from: (f64, f64), heading_rad: f64, count: usize) -> Vec<(f64, f64, f64)
 /// Two robots with different cameras and heights over the same ground; the second begins elsewhere.
 fn fleet_of(second: &FleetRobot) -> FleetMapper {
     let first = FleetRobot::new((320, 240), 250.0, HEIGHT_M, HEIGHT_M);
-    let texture = Texture::named("asphalt").unwrap();
     let footprint_m = Renderer::new(&first.mounted.camera).footprint_m(HEIGHT_M);
-    let ground = Ground::new(texture, footprint_m, false, 3).unwrap();
+    let ground = shared_ground("asphalt", footprint_m, 3);
     let map = GroundMap {
         camera: first.mounted.camera.clone(),
         rig: first.mounted.rig,

@@ -272,6 +272,8 @@ fn names_are_printed_on_their_line() {
         fs::copy(from, folder.join(name)).unwrap();
     }
     fs::write(folder.join("board.png"), b"no picture").unwrap();
+    fs::write(folder.join("short.y4m"), y4m(12)).unwrap();
+    fs::write(folder.join("short.yaml"), CAMERA).unwrap();
     let run = "run N/drive.mp4 --camera N/camera.yaml --height 0.3 --max-frames 40 -o N/out";
     // Command, and the exit code that it ends with.
     for (arguments, code) in [
@@ -280,7 +282,7 @@ fn names_are_printed_on_their_line() {
         ("run N/drive.mp4 N/nothing.mp4 --camera N/camera.yaml --height 0.3 --max-frames 9 -o N/many", 3),
         ("info N/drive.mp4 --camera N/camera.yaml", 0),
         ("info N/nothing.mp4", 3),
-        ("doctor N/drive.mp4 --camera N/camera.yaml --height 0.3", 0),
+        ("doctor N/short.y4m --camera N/short.yaml --height 0.3", 0),
         ("evaluate N/out/trajectory.tum N/out/odometry.tum", 0),
         ("evaluate N/out/trajectory.tum N/camera.yaml", 3),
         ("map info N/out/map.gpkg", 0),

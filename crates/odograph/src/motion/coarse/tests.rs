@@ -3,7 +3,7 @@ use crate::camera::{Distortion, Rig};
 use crate::geometry::{Pixel, wrap_angle};
 use crate::image::GrayImage;
 use crate::motion::Random;
-use crate::simulation::{Ground, Renderer, Texture};
+use crate::simulation::{Ground, Renderer, Texture, shared_ground};
 use std::f64::consts::PI;
 use std::sync::Arc;
 
@@ -53,15 +53,14 @@ struct CoarseWorld {
     name: &'static str,
     camera: Camera,
     renderer: Renderer,
-    ground: Ground,
+    ground: Arc<Ground>,
 }
 
 impl CoarseWorld {
     fn new(name: &'static str) -> Self {
         let camera = camera();
         let renderer = Renderer::new(&camera);
-        let texture = Texture::named(name).unwrap();
-        let ground = Ground::new(texture, renderer.footprint_m(0.75), false, 11).unwrap();
+        let ground = shared_ground(name, renderer.footprint_m(0.75), 11);
         Self { name, camera, renderer, ground }
     }
 }

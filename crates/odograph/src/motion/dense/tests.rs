@@ -2,8 +2,9 @@ use super::*;
 use crate::camera::Distortion;
 use crate::image::GrayImage;
 use crate::motion::{MotionModel, Random, RigPriorEstimator};
-use crate::simulation::{Ground, Renderer, Texture};
+use crate::simulation::{Ground, Renderer, shared_ground};
 use nalgebra::{Matrix3, Vector3};
+use std::sync::Arc;
 
 const HEIGHT_M: f64 = 0.75;
 
@@ -11,7 +12,7 @@ const HEIGHT_M: f64 = 0.75;
 struct DenseWorld {
     camera: Camera,
     renderer: Renderer,
-    ground: Ground,
+    ground: Arc<Ground>,
 }
 
 impl DenseWorld {
@@ -19,8 +20,7 @@ impl DenseWorld {
         let distortion = Distortion::from_opencv(&[-0.12, 0.03, 0.0005, -0.0003]).unwrap();
         let camera = Camera::new((320, 240), (250.0, 250.0), (160.7, 119.2), distortion).unwrap();
         let renderer = Renderer::new(&camera);
-        let texture = Texture::named(texture).unwrap();
-        let ground = Ground::new(texture, renderer.footprint_m(HEIGHT_M), false, seed).unwrap();
+        let ground = shared_ground(texture, renderer.footprint_m(HEIGHT_M), seed);
         Self { camera, renderer, ground }
     }
 

@@ -1,7 +1,5 @@
 //! Image folders (order, timestamps, formats), and invalid sources.
 
-#![allow(clippy::unwrap_used)] // helper functions of tests may panic
-
 use odograph::error::{ErrorKind, Result};
 use odograph_video::{Frame, SourceOptions, open};
 use std::fs;
@@ -153,7 +151,7 @@ fn jpeg_taken(second: u8, fraction: &str) -> Vec<u8> {
     bytes.extend((tiff.len() as u16 + 8).to_be_bytes());
     bytes.extend(b"Exif\0\0");
     bytes.extend(tiff);
-    bytes.extend(&include_bytes!("data/ramp.jpg")[2..]);
+    bytes.extend(&include_bytes!("../data/ramp.jpg")[2..]);
     bytes
 }
 
@@ -171,7 +169,7 @@ fn exif_times_are_used_if_all_images_have_one() {
     // 2024-05-06 07:08:09 UTC
     assert!((frames[0].time_s - 1_714_979_289.25).abs() < 1e-6, "{}", frames[0].time_s);
 
-    fs::write(folder.path().join("4.jpg"), include_bytes!("data/ramp.jpg")).unwrap();
+    fs::write(folder.path().join("4.jpg"), include_bytes!("../data/ramp.jpg")).unwrap();
     let (_, warnings) = read(folder.path(), &SourceOptions::default()).unwrap();
     assert!(warnings[0].contains("are assumed"), "{warnings:?}");
 }
@@ -228,7 +226,7 @@ fn invalid_sources_fail_with_one_sentence() {
     let broken =
         folder(&[("1.png", gray_png(0)), ("2.png", gray_png(0)[..40].to_vec()), ("3.png", b"no".to_vec())]);
     assert!(sentence(broken.path()).contains("2.png: the PNG picture cannot be decoded"));
-    let cut = folder(&[("1.jpg", include_bytes!("data/ramp.jpg")[..210].to_vec())]);
+    let cut = folder(&[("1.jpg", include_bytes!("../data/ramp.jpg")[..210].to_vec())]);
     assert!(sentence(cut.path()).ends_with("1.jpg: the JPEG picture is cut off"));
 }
 

@@ -1,7 +1,5 @@
 //! The rig from rendered pictures of a board on the floor.
 
-#![allow(clippy::unwrap_used, clippy::print_stdout)] // a test fails by panicking
-
 use nalgebra::Vector3;
 use odograph::camera::{Camera, Distortion, Rig};
 use odograph::geometry::GroundPose;

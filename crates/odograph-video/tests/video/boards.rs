@@ -1,8 +1,6 @@
 //! Chessboard detection in real images: finds every board that OpenCV finds. Needs the images (in
 //! `ODOGRAPH_DATA`, or `shared/data` beside the checkout); prints a message and skips without them.
 
-#![allow(clippy::unwrap_used, clippy::print_stdout)] // helper functions of tests may panic
-
 use odograph_calibration::{Board, BoardFinder, BoardView, NotFound};
 use odograph_video::{SourceOptions, open};
 use std::path::{Path, PathBuf};

@@ -1,7 +1,5 @@
 //! ChArUco boards and AprilGrids in rendered images with exact ground truth.
 
-#![allow(clippy::unwrap_used, clippy::print_stdout)] // a test fails by panicking
-
 use nalgebra::{Isometry3, Translation3, UnitQuaternion, Vector3};
 use odograph::camera::{Camera, Distortion};
 use odograph::geometry::Pixel;

@@ -3,9 +3,7 @@
 //!
 //! Needs the recordings (in `ODOGRAPH_DATA`, or `shared/data` beside the checkout) and `ffmpeg`
 //! with `ffprobe`; skips without them. The table of `docs/decoding.md` is printed by
-//! `cargo test --release -p odograph-video --test clips -- --nocapture`.
-
-#![allow(clippy::print_stdout, clippy::unwrap_used)] // helper functions of tests may panic
+//! `cargo test --release -p odograph-video --test video clips -- --nocapture`.
 
 use odograph_video::{SourceOptions, open};
 use std::io::Read;

@@ -1,7 +1,5 @@
 //! Calibration files of rendered calibrations.
 
-#![allow(clippy::unwrap_used)] // a test fails by panicking
-
 use odograph::camera::{Camera, Distortion};
 use odograph::formats::camera_file;
 use odograph_calibration::{Board, CalibrationConfig, LensModel, calibrate, calibration_file};

@@ -1,8 +1,6 @@
 //! Small robot recordings of every kind (`data/bags/make.py`): their frames, cameras and sensors,
 //! and what is left of them when they are damaged.
 
-#![allow(clippy::unwrap_used)] // a test fails by panicking
-
 use odograph::camera::Distortion;
 use odograph::filter::fusion::{Quantity, SensorKind};
 use odograph_video::{

@@ -5,8 +5,6 @@
 //! ffmpeg 5.1 decodes (`-fps_mode passthrough -vf extractplanes=y -f rawvideo -pix_fmt gray`), the
 //! times are those of ffprobe.
 
-#![allow(clippy::unwrap_used)] // helper functions of tests may panic
-
 use odograph_video::{Frame, Source, SourceOptions, open};
 use std::path::PathBuf;
 
