@@ -72,7 +72,8 @@ impl Odometry {
         update: &KeyframeUpdate,
     ) -> FrameUncertainty {
         let from_keyframe = |covariance: &Matrix6<f64>| propagated(&estimate.by_keyframe, covariance);
-        let own = estimate.shutter.as_ref().map_or(self.own_by_readout, |seen| by_own_readout(keyframe, seen));
+        let own =
+            estimate.shutter.as_ref().map_or(self.own_by_readout, |seen| by_own_readout(keyframe, seen));
         FrameUncertainty {
             covariance: from_keyframe(&update.covariance)
                 + estimate.covariance

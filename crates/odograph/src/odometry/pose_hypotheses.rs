@@ -2,7 +2,6 @@
 //! agree with what that found, near the other poses that the motion so far predicts.
 
 use super::Odometry;
-use super::ambiguity::CHANCE_INLIER_RATIO;
 use super::keyframe::Keyframe;
 use super::last_pose::{LastPose, seen_apart};
 use super::tracking::{self, Measurement};
@@ -48,10 +47,7 @@ impl Odometry {
             let near = self.measure_within(keyframe, pyramid, &extrapolated, off_px);
             // What others will be built on is searched in full, unless that could not find more.
             let found_enough = |near: &Measurement| {
-                !near.stands_still(keyframe, camera)
-                    && (near.refined
-                        || near.support >= self.enough_support()
-                        || self.nearly_all_agree(keyframe, near))
+                near.refined || near.support >= self.enough_support() || self.nearly_all_agree(keyframe, near)
             };
             if near.as_ref().is_ok_and(found_enough) {
                 return near;
@@ -65,24 +61,7 @@ impl Odometry {
                 break;
             }
         }
-        match wide {
-            Ok(still) if still.stands_still(keyframe, camera) => Ok(self.or_moved(still, pyramid, &extrapolated)),
-            wide => self.or_elsewhere(wide, pyramid, last, time_s),
-        }
-    }
-
-    /// What stands still in the image although the camera should have moved, such as drops on the
-    /// lens, is hardly ever ground: if other corners agree on a pose near the predicted one, by
-    /// more than chance, that pose.
-    fn or_moved(&self, still: Measurement, pyramid: &Pyramid, prediction: &GroundPose) -> Measurement {
-        let Some(keyframe) = &self.keyframe else { return still };
-        let (camera, config, learned) = (&self.camera, &self.config, &self.learned);
-        let random = &mut Random::new(self.frames);
-        let moved = tracking::measure_moved(
-            keyframe, pyramid, camera, &still, prediction, NEAR_PX, config, learned, random,
-        );
-        let least = CHANCE_INLIER_RATIO * learned.usual_inlier_ratio();
-        moved.ok().filter(|moved| moved.inlier_ratio(keyframe, camera) >= least).unwrap_or(still)
+        self.or_elsewhere(wide, pyramid, last, time_s)
     }
 
     /// What a wide search found or, if fewer corners than usual agree with that and more with a

@@ -165,8 +165,8 @@ struct Confirmed {
 }
 
 impl RecoverySearch<'_> {
-    /// Searches for the frame in a keyframe: near the expected heading, at any heading, or, until it
-    /// is found, both.
+    /// Searches for the frame in a keyframe: near the expected heading, at any heading, or both
+    /// until it is found.
     fn look(&self, keyframe: &mut Keyframe, (near, any): (bool, bool), random: &mut Random) -> Confirmed {
         keyframe.prepare_view(self.registration);
         let turned_rad = wrap_angle(self.lost.expected.heading_rad - keyframe.pose.heading_rad);

@@ -1,12 +1,12 @@
 //! Choice of the next keyframe: an older one if the camera has returned to it, otherwise a new one.
 
+use super::Odometry;
 use super::ambiguity::CHANCE_INLIER_RATIO;
 use super::found_corner::FoundCorner;
 use super::frame_uncertainty::FrameUncertainty;
 use super::keyframe::{Keyframe, KeyframeUpdate};
 use super::keyframe_event::Before;
 use super::tracking::{self, Measurement};
-use super::Odometry;
 use crate::geometry::{GroundPose, propagated};
 use crate::image::Pyramid;
 use crate::keyframe::{EdgeKind, KeyframeId};
@@ -154,8 +154,7 @@ impl Odometry {
             let covariance = old.relative_covariance(by_old, self.config.motion.model);
             self.record_revisit(&old, (pose, &by_present), (&by_old.pose, &covariance));
         }
-        let serves =
-            overlap >= self.config.keyframe.revisit && measurement.support >= self.enough_support();
+        let serves = overlap >= self.config.keyframe.revisit && measurement.support >= self.enough_support();
         let result = if serves {
             let found = by_old.pose;
             self.serve_from_here(old.id, found);
@@ -200,7 +199,10 @@ impl Odometry {
         let covariance = common + since - gain * since;
         let difference = by_old.pose.to_vector() + moved - pose.to_vector();
         let improved = GroundPose::from_vector(&(pose.to_vector() + gain * difference));
-        (improved, FrameUncertainty::fused(present, &older, &gain, 0.5 * (covariance + covariance.transpose())))
+        (
+            improved,
+            FrameUncertainty::fused(present, &older, &gain, 0.5 * (covariance + covariance.transpose())),
+        )
     }
 
     /// Makes another keyframe the reference of the following frames; its own pose of the present

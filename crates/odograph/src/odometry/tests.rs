@@ -505,6 +505,26 @@ fn a_bumper_that_takes_all_corners_is_not_followed() {
 }
 
 #[test]
+fn an_older_keyframe_that_is_seen_in_part_takes_the_drift_back() {
+    let world = World::new("asphalt");
+    // 3 m out, and back beside it, where half of the images overlaps: too little to take up a
+    // keyframe again.
+    let out = (0..=50).map(|i| at(0.06 * f64::from(i), 0.0, 0.0));
+    let across = (1..8).map(|i| at(3.0, 0.06 * f64::from(i), 0.0));
+    let back = (0..=50).rev().map(|i| at(0.06 * f64::from(i), 0.42, 0.0));
+    let poses: Vec<_> = out.chain(across).chain(back).collect();
+    let frames = world.run(&mut world.odometry(), &poses);
+    let sigma_mm = |frame: &FrameEstimate| {
+        let covariance = &frame.estimate.as_ref().unwrap().covariance;
+        1e3 * (covariance[(0, 0)] + covariance[(1, 1)]).sqrt()
+    };
+    let (turn, end) = (&frames[50], frames.last().unwrap());
+    assert!(sigma_mm(end) < 0.7 * sigma_mm(turn), "{:.3} and {:.3} mm", sigma_mm(turn), sigma_mm(end));
+    // Three times the stated deviation.
+    assert_right(end, poses.last().unwrap(), 3.0 * sigma_mm(end));
+}
+
+#[test]
 fn a_mask_of_another_size_is_refused() {
     let world = World::new("asphalt");
     let message = world.odometry().with_mask(&GrayImage::new(320, 240)).unwrap_err().to_string();

@@ -22,7 +22,7 @@ use crate::motion::{MotionEstimate, MotionModel, Random};
 use crate::trajectory::LossReason;
 pub use observations::SHARED_PX2;
 use pose_fit::fit_pose;
-use search::{FoundCorners, search, search_moved, search_where_last_seen};
+use search::{FoundCorners, search, search_where_last_seen};
 pub use visibility::{reason_of_loss, still_seen};
 
 /// A frame measured against a keyframe.
@@ -104,23 +104,6 @@ pub fn measure_near(
         search(keyframe, pyramid, camera, prediction, off_px, config, learned, random)
     };
     fit_pose(keyframe, found, camera, prediction, config, learned, random)
-}
-
-/// Measures the pose of a frame near a prediction without the corners that, as a measurement found,
-/// stayed where they were in the image.
-pub fn measure_moved(
-    keyframe: &Keyframe,
-    pyramid: &Pyramid,
-    camera: &Camera,
-    still: &Measurement,
-    prediction: &GroundPose,
-    off_px: f64,
-    config: &OdometryConfig,
-    learned: &Learned,
-    random: &mut Random,
-) -> Result<Measurement, LossReason> {
-    let moved = search_moved(keyframe, pyramid, camera, &still.found, prediction, off_px, config, learned);
-    fit_pose(keyframe, moved, camera, prediction, config, learned, random)
 }
 
 /// On an image that looks faint this part of the corners in view must agree with a pose.

@@ -5,7 +5,7 @@ use super::super::found_corner::FoundCorner;
 use super::super::keyframe::{KeyCorner, Keyframe};
 use super::super::learned::Learned;
 use super::observations::observations;
-use super::visibility::{has_stayed, in_view};
+use super::visibility::in_view;
 use crate::buffer::Buffer;
 use crate::camera::Camera;
 use crate::flow::{SEARCH_RADIUS_PX, Track, Warp, dissimilarity, track};
@@ -89,31 +89,6 @@ pub(super) fn search(
         }
     }
     FoundCorners { found, probe_pose }
-}
-
-/// Searches for the corners that were not found where they are in the image of the keyframe.
-pub(super) fn search_moved(
-    keyframe: &Keyframe,
-    pyramid: &Pyramid,
-    camera: &Camera,
-    stayed: &[FoundCorner],
-    prediction: &GroundPose,
-    off_px: f64,
-    config: &OdometryConfig,
-    learned: &Learned,
-) -> FoundCorners {
-    let from = learned.viewing(camera, prediction);
-    let mut moves = vec![true; keyframe.corners.len()];
-    stayed.iter().filter(|found| has_stayed(found, keyframe)).for_each(|found| moves[found.corner] = false);
-    let found = keyframe
-        .corners
-        .iter()
-        .enumerate()
-        .filter(|(index, _)| moves[*index])
-        .filter_map(|(index, corner)| find(index, corner, keyframe, pyramid, camera, &from, off_px, config))
-        .filter(|found| !has_stayed(found, keyframe))
-        .collect();
-    FoundCorners { found, probe_pose: None }
 }
 
 /// The pose on which most of the probe corners that should be in view from there agree.

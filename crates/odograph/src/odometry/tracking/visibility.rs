@@ -8,12 +8,6 @@ use crate::geometry::GroundPose;
 use crate::motion::ViewingPose;
 use crate::trajectory::LossReason;
 
-/// Whether a corner was found where it is in the image of the keyframe.
-pub(super) fn has_stayed(found: &FoundCorner, keyframe: &Keyframe) -> bool {
-    const STILL_PX: f64 = 1.0;
-    found.warp.position.distance(keyframe.corners[found.corner].template.centre()) < STILL_PX
-}
-
 impl Measurement {
     /// Inlier ratio among the keyframe's corners that a camera at the measured pose should see, 0
     /// to 1: low if only something beside the ground was tracked.
@@ -28,6 +22,7 @@ impl Measurement {
     /// Whether the inliers stand still in the image although the camera should have moved since the
     /// keyframe, as the shadow of the vehicle does.
     pub fn stands_still(&self, keyframe: &Keyframe, camera: &Camera) -> bool {
+        const STILL_PX: f64 = 1.0;
         const MOVED_PX: f64 = 6.0;
         const MOST: f64 = 0.6;
         let (from, to) = (&keyframe.pose, &self.prediction);
@@ -36,7 +31,9 @@ impl Measurement {
             return false;
         }
         let agree = self.found.iter().zip(&self.estimate.inliers).filter(|(_, agrees)| **agrees);
-        let still = agree.filter(|(found, _)| has_stayed(found, keyframe));
+        let still = agree.filter(|(found, _)| {
+            found.warp.position.distance(keyframe.corners[found.corner].template.centre()) < STILL_PX
+        });
         still.count() as f64 > MOST * self.estimate.inlier_count().max(1) as f64
     }
 }
