@@ -36,7 +36,8 @@ enum Revisit {
     No(Pyramid),
 }
 
-/// Least part of an older keyframe in view for a frame to be measured against it.
+/// Least part of an older keyframe in view for a frame to be measured against it. With 0.3 the
+/// errors of 37 variants of a real flight were 6 % larger (`docs/math/frame-pose.md`).
 const LEAST_OVERLAP: f64 = 0.5;
 
 /// The nearest covariance to a symmetric matrix.

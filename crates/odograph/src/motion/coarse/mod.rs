@@ -217,6 +217,7 @@ fn refine(
     let improve = |from, effort| refinement::improve(keyframe, now, from, options.scale_free, effort);
     best_of(&mut starts, PEAKS_PER_HYPOTHESIS * options.hypotheses);
     let mut coarse: Vec<_> = starts.iter().filter_map(|(_, start)| improve(*start, COARSE_STEPS)).collect();
+    // On tiles the true place is not always among the best before the fine steps.
     best_of(&mut coarse, 2 * options.hypotheses);
     let mut fine: Vec<_> = coarse.iter().filter_map(|(_, start)| improve(*start, FINE_STEPS)).collect();
     best_of(&mut fine, options.hypotheses);
