@@ -14,18 +14,9 @@ pub const MAP_WIDTH_PX: u32 = 1600;
 /// embedded fonts are used, and no external references of the drawing are opened.
 pub fn drawing_png(svg: &str, width_px: u32) -> Result<Vec<u8>> {
     let pixels = picture(svg, width_px)?;
-    let (width, height) = (pixels.width() as usize, pixels.height() as usize);
-    // The background is opaque, so premultiplied colours equal the plain ones. By index: iterators
-    // over arrays are those of crates that are compiled without optimisation, and take longer than
-    // all else here.
-    let mut samples = pixels.take();
-    for at in 0..width * height {
-        samples[3 * at] = samples[4 * at];
-        samples[3 * at + 1] = samples[4 * at + 1];
-        samples[3 * at + 2] = samples[4 * at + 2];
-    }
-    samples.truncate(3 * width * height);
-    odograph_session::files::png_from_rgb_samples(width, height, &samples)
+    // The background is opaque, so premultiplied colours equal the plain ones.
+    let rgb: Vec<u8> = pixels.data().chunks_exact(4).flat_map(|p| [p[0], p[1], p[2]]).collect();
+    odograph_session::files::png_from_rgb_samples(pixels.width() as usize, pixels.height() as usize, &rgb)
 }
 
 /// Renders a monochrome SVG drawing as a gray image, `width_px` wide, in the same way as

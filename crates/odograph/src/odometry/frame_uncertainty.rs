@@ -121,8 +121,8 @@ fn by_own_readout(keyframe: &Keyframe, seen: &ShutterEstimate) -> PoseRates {
 }
 
 impl FrameUncertainty {
-    /// That of `a + gain (b − a)`, for two measurements with these uncertainties and this
-    /// covariance of the sum. What the errors of the model do to both is taken to be one error.
+    /// Uncertainty of `a + gain (b − a)`, whose covariance by noise is given. Errors of the model
+    /// are taken to be the same in both measurements.
     pub fn fused(a: &Self, b: &Self, gain: &Matrix6<f64>, covariance: Matrix6<f64>) -> Self {
         let share = (gain.trace() / 6.0).clamp(0.0, 1.0);
         Self {

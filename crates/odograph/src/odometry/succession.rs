@@ -26,18 +26,20 @@ const UNAMBIGUOUS_PX: f64 = 2.0;
 /// needs new keyframes all the time needs all corners at once.
 const LEISURE_FRAMES: u64 = 8;
 
-/// What came of a look for an older keyframe. The image is returned where it becomes a keyframe.
+/// Result of measuring a frame against an older keyframe. The image is returned if the frame
+/// becomes a keyframe itself.
 enum Revisit {
-    /// An older one serves from here on.
+    /// The older keyframe becomes the reference again.
     Serves,
-    /// A measurement against an older one, of which too little is in view, improved the frame.
+    /// Too little of the older keyframe is in view, but the measurement improves the frame's pose.
     Improves(Pyramid, Box<(GroundPose, FrameUncertainty)>),
-    /// No older one is in view, or what was measured there does not agree.
+    /// No older keyframe is in view, or the measurement does not agree with the present one.
     No(Pyramid),
 }
 
-/// Least part of an older keyframe in view for a frame to be measured against it. With 0.3 the
-/// errors of 37 variants of a real flight were 6 % larger (`docs/math/frame-pose.md`).
+/// Least part of an older keyframe that must be in view for a frame to be measured against it.
+/// Chosen on variants of one real flight, where 0.3 was about as good
+/// (`docs/math/frame-pose.md`).
 const LEAST_OVERLAP: f64 = 0.5;
 
 /// The nearest covariance to a symmetric matrix.
@@ -180,8 +182,8 @@ impl Odometry {
         revisit
     }
 
-    /// The pose of a frame by the present keyframe, improved by a measurement against an older one.
-    /// What the older one is off by, both have in common.
+    /// The pose measured against the present keyframe, fused with the one measured against an older
+    /// keyframe. Both contain the error of the older keyframe.
     fn improved_by_older(
         &self,
         old: &Keyframe,

@@ -32,9 +32,9 @@ impl KeyframeMemory {
         }
     }
 
-    /// Removes and returns a keyframe of which a camera at `pose` sees at least the part `least` of
-    /// the image, with that part: the one of which it sees most if that is at least `most`,
-    /// otherwise the one whose own pose is known best.
+    /// Removes and returns a keyframe with its overlap: the part of its image that a camera at
+    /// `pose` sees. It is the one with the largest overlap if that is at least `most`, otherwise,
+    /// of those with an overlap of at least `least`, the one whose pose is known best.
     pub fn take_best(
         &mut self,
         camera: &Camera,

@@ -33,7 +33,8 @@ pub struct KeyframeRecord {
 }
 
 impl KeyframeRecord {
-    /// Mean square error of what it saw, metres²: of its position, height and angles.
+    /// Sum of the pose's variances, metres²: angles count as displacements at a distance of one
+    /// height.
     pub(super) fn spread_m2(&self) -> f64 {
         let of = |i: usize| self.covariance[(i, i)];
         of(X) + of(Y) + of(HEIGHT) + self.pose.height_m.powi(2) * (of(HEADING) + of(ROLL) + of(PITCH))
