@@ -130,7 +130,10 @@ fn compare(folder: &Path, truth: &Path) -> Result<()> {
     let found = evaluation::evaluate(&estimate, &true_path, &options)?;
     console::print(&format!(
         "Against the truth, a path of {:.2} m: {:.1} mm off on average, {:.1} mm at the end.\n  {} evaluate {} {}\n",
-        over_ground_m(&true_path),
+        over_ground_m(true_path.poses.iter().map(|pose| {
+            let place = pose.world_from_camera.translation;
+            [place.x, place.y]
+        })),
         1e3 * found.absolute.translation.mean,
         1e3 * found.final_position_error_m,
         program(),

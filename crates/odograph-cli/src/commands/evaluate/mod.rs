@@ -7,8 +7,7 @@ use crate::{Outcome, console, files, lengths};
 use clap::ValueEnum;
 use odograph::error::{Error, Result};
 use odograph::evaluation::{Alignment, Delta, Evaluation, EvaluationOptions, evaluate as measure};
-use odograph::formats::trajectory_file::{Trajectory, TrajectoryFormat, parse_times};
-use odograph::trajectory::StampedPose;
+use odograph::formats::trajectory_file::{TrajectoryFormat, parse_times};
 use odograph_report::evaluation_plot;
 use odograph_session::{read_trajectory, read_trajectory_text};
 use std::path::{Path, PathBuf};
@@ -188,8 +187,7 @@ pub fn evaluate(arguments: EvaluateArguments) -> Result<Outcome> {
         files::write(path, evaluation_plot::svg(&title, &evaluation, &truth.trajectory).as_bytes())?;
     }
     // The ground of KITTI's poses is not x and y.
-    let over_ground_m =
-        (estimate.timed && truth.timed).then(|| [&truth.trajectory, &estimate.trajectory].map(over_ground_m));
+    let over_ground_m = (estimate.timed && truth.timed).then(|| compared_over_ground_m(&evaluation));
     print_result(&arguments, &options, &evaluation, over_ground_m)?;
     Ok(Outcome::Done)
 }
@@ -211,10 +209,25 @@ fn print_result(
 }
 
 /// Length of a path over the ground (x and y), metres: what `odograph run` calls its distance.
-pub fn over_ground_m(trajectory: &Trajectory) -> f64 {
-    let place = |pose: &StampedPose| pose.world_from_camera.translation.vector.xy();
+pub fn over_ground_m(places_m: impl IntoIterator<Item = [f64; 2]>) -> f64 {
+    let places_m: Vec<_> = places_m.into_iter().collect();
+    let steps_m = places_m.windows(2).map(|two| (two[1][0] - two[0][0]).hypot(two[1][1] - two[0][1]));
     // A fold: the sum of no numbers is −0.
-    trajectory.poses.windows(2).map(|two| (place(&two[1]) - place(&two[0])).norm()).fold(0.0, |a, b| a + b)
+    steps_m.fold(0.0, |a, b| a + b)
+}
+
+/// Lengths over the ground of truth and estimate through the compared poses, metres; that of the
+/// estimate with the scale of the alignment, in its own world, whose z axis is up.
+fn compared_over_ground_m(evaluation: &Evaluation) -> [f64; 2] {
+    let estimate_from_truth = evaluation.alignment.truth_from_estimate.inverse();
+    let pairs = &evaluation.pairs;
+    [
+        over_ground_m(pairs.iter().map(|pair| [pair.truth.translation.x, pair.truth.translation.y])),
+        over_ground_m(pairs.iter().map(|pair| {
+            let place = (estimate_from_truth * pair.estimate).translation;
+            [place.x, place.y]
+        })),
+    ]
 }
 
 fn name(path: &Path) -> String {
