@@ -96,6 +96,12 @@ impl RunOutput {
         self.least_frames == 1
     }
 
+    /// Whether pictures are drawn: not where they would be removed at once, in a temporary folder, and
+    /// the map takes none.
+    pub fn draws(&self) -> bool {
+        self.folder.is_some() || !self.map.is_read_only()
+    }
+
     /// Name of the source in the map; `typed` is that of this run.
     pub fn source_name(&self, typed: &str) -> String {
         self.resumed.as_ref().map_or(typed, |resumed| &resumed.source).to_owned()

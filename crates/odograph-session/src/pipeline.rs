@@ -121,7 +121,14 @@ pub fn track(
     let whole = plan.source.start_s.is_none() && plan.source.end_s.is_none();
     let announced = source.info().frame_count.filter(|_| whole);
     let mut decoding = DecodingStage { source, times: Timings::default(), observer };
-    let mut ground = MappingStage { views, mapping, video, unmapped: None, times: Timings::default() };
+    let mut ground = MappingStage {
+        draws: output.draws(),
+        views,
+        mapping,
+        video,
+        unmapped: None,
+        times: Timings::default(),
+    };
     let outcome = match output.threads() {
         1 => one_by_one(&mut decoding, &mut tracking, &mut ground),
         threads => side_by_side(&mut decoding, &mut tracking, &mut ground, threads, queue(&plan.camera)),
@@ -133,7 +140,7 @@ pub fn track(
         return Ok(PassEnd::Differs(difference));
     }
     observer.tracking_ends();
-    let MappingStage { views, mapping, video, unmapped, times: map_times } = ground;
+    let MappingStage { views, mapping, video, unmapped, times: map_times, .. } = ground;
     // An interrupt after the last frame changes no result.
     let interrupted = observer.is_stop_asked() && announced != Some(tracking.frames.count() as u64);
     Ok(PassEnd::Finished(Tracked {
@@ -347,6 +354,8 @@ pub fn is_made(events: &[KeyframeEvent], frame: u64) -> bool {
 
 /// Stage three: mapping.
 struct MappingStage {
+    /// Whether there will be a mosaic.
+    draws: bool,
     views: MosaicFrames,
     mapping: Mapping,
     video: Option<OverlayVideo>,
@@ -366,7 +375,9 @@ impl MappingStage {
         }
         let Some(posed) = posed else { return Ok(()) };
         let started = Instant::now();
-        self.views.next(posed)?;
+        if self.draws {
+            self.views.next(posed)?;
+        }
         self.times.push(started.elapsed());
         Ok(())
     }

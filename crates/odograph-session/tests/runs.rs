@@ -149,8 +149,13 @@ fn a_picture_is_found_in_a_map_that_stays_as_it_is() {
     let place = outcome.place.unwrap();
     assert!(place.x_m.hypot(place.y_m) < 0.01, "{place:?}");
     assert_eq!(fs::read(&map).unwrap(), before);
-    // Without a folder the results were in a temporary one.
+    // Without a folder the results were in a temporary one, and nobody would have seen pictures.
     assert!(!outcome.folder.exists());
+    let is_written = |name: &str| outcome.written.contains(&outcome.folder.join(name));
+    assert!(is_written("trajectory.csv") && !is_written("mosaic.png") && !is_written("map.svg"));
+    let seen = folder.path().join("seen");
+    let outcome = RunBuilder::localizing(clip::source(1), &map).folder(&seen).run(&()).unwrap();
+    assert!(outcome.written.contains(&seen.join("mosaic.png")) && seen.join("map.svg").exists());
     let observer = Listening::default();
     let continued = clip::run(40).map(MapUse::Continue(map.clone())).run(&observer).unwrap();
     assert!(continued.place.is_some());

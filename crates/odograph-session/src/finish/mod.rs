@@ -137,7 +137,10 @@ impl Finishing<'_> {
         let place = self.place_in_map(&mut improved)?;
         let on_earth = self.place_on_earth(&mut improved, &frames)?;
         let Improved { mut corrected, sensors, loops, markers, .. } = improved;
-        self.draw(corrected.as_mut(), &frames, &sensors, markers.as_ref(), on_earth.as_ref())?;
+        // The page of a live run shows the mosaic, too.
+        if ending.output.draws() || self.tracked.live.is_some() {
+            self.draw(corrected.as_mut(), &frames, &sensors, markers.as_ref(), on_earth.as_ref())?;
+        }
         let estimated = Estimated { loops, markers, gnss: on_earth.map(|on_earth| on_earth.statistics) };
         self.end(frames, place, &sensors, estimated)
     }
