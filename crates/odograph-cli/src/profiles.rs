@@ -105,7 +105,7 @@ pub fn read_unchecked(name: &str) -> Result<Profile> {
         let names = names()?;
         let there = match names.is_empty() {
             true => "there are none yet; odograph profile save makes one".to_owned(),
-            false => format!("there are {}", names.join(", ")),
+            false => format!("the saved profiles are: {}", names.join(", ")),
         };
         return Err(Error::input(format!("there is no profile named {name}; {there}")));
     }

@@ -126,7 +126,7 @@ impl GnssStatistics {
         };
         let scale = (place.scale != 1.0).then(|| {
             format!(
-                "by {name} a metre of the path is {:.4} ± {:.4} m on Earth: the camera is rather {:.4} m high; {corrected}",
+                "by {name} a metre of the path is {:.4} ± {:.4} m on Earth: the camera is probably {:.4} m high; {corrected}",
                 place.scale,
                 place.sigma_scale,
                 height_m * place.scale

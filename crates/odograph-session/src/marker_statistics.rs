@@ -146,7 +146,7 @@ impl MarkerStatistics {
         }
         if self.scale != 1.0 {
             sentences.push(format!(
-                "by {control} a metre of the path is {:.5} ± {:.5} m: the camera is rather {:.4} m high; path and map \
+                "by {control} a metre of the path is {:.5} ± {:.5} m: the camera is probably {:.4} m high; path and map \
                  are corrected",
                 self.scale,
                 self.sigma_scale,

@@ -195,7 +195,8 @@ impl Source {
             (None, None) if opened.times_known => Clock::Container,
             (None, None) => Clock::Rate(opened.frames_per_second.unwrap_or_else(|| {
                 warnings.push(format!(
-                    "nothing says when the frames were taken: {ASSUMED_FRAMES_PER_SECOND} frames a second are assumed"
+                    "nothing says when the frames were taken: {ASSUMED_FRAMES_PER_SECOND} frames a second are assumed; \
+                     give --timestamps or --fps"
                 ));
                 ASSUMED_FRAMES_PER_SECOND
             })),

@@ -4,7 +4,6 @@ use super::run::{CameraSetup, FieldOfView};
 use crate::profiles::{self, Profile};
 use crate::{Outcome, console, files};
 use odograph::error::{Error, Result};
-use odograph::formats::camera_file;
 use std::fmt::Write;
 use std::fs;
 use std::path::PathBuf;
@@ -102,8 +101,7 @@ const SIZE_OF_RECORDING: (usize, usize) = (4096, 4096);
 /// The profile of a setup whose files can be read.
 fn checked(setup: CameraSetup) -> Result<Profile> {
     if let Some(path) = &setup.camera {
-        camera_file::parse(&files::read_text(path)?, Some(SIZE_OF_RECORDING))
-            .map_err(|error| error.at(path.display()))?;
+        odograph_session::parse_camera(path, &files::read_text(path)?, SIZE_OF_RECORDING)?;
     }
     if let Some(path) = &setup.rig {
         odograph_session::read_rig(path, &())?;

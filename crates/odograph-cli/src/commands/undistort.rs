@@ -132,8 +132,9 @@ fn print_result(
     let camera = correction.camera();
     let empty = correction.pixels_without_source() as f64 / (camera.width() * camera.height()) as f64;
     console::print(&format!(
-        "{} frames of {}x{}, focal lengths {:.1} and {:.1} px, {:.1} % of each without a source\nLook at {}\n",
+        "{} {} of {}x{}, focal lengths {:.1} and {:.1} px, {:.1} % of each without a source\nLook at {}\n",
         corrected.frames,
+        if corrected.frames == 1 { "frame" } else { "frames" },
         camera.width(),
         camera.height(),
         camera.focal_px().0,

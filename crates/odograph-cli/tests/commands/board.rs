@@ -34,7 +34,7 @@ fn the_png_has_the_exact_size_of_the_board() {
     let done = board(temporary.path(), "b.png", &["--board", "chessboard:9x6:25mm", "--dpi", "254"]);
     assert_eq!(done.status.code(), Some(0), "{done:?}");
     let message = String::from_utf8(done.stdout).unwrap();
-    assert!(message.contains("pattern 250 x 175 mm on A4 paper (297 x 210 mm), across"), "{message}");
+    assert!(message.contains("pattern 250 x 175 mm on A4 paper (297 x 210 mm), landscape"), "{message}");
     assert!(message.contains("100 mm"), "{message}");
     let (samples, (width, height), pixels_per_metre) = png(&temporary.path().join("b.png"));
     assert_eq!((width, height, pixels_per_metre), (2970, 2100, 10_000));

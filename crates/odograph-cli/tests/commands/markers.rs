@@ -69,7 +69,7 @@ fn surveyed_markers_hold_a_path_of_a_hundred_metres() {
 
     // The height is wrong by 1 %: it is corrected.
     let message = done(here, &format!("{run} --height 0.909 --control sim/markers.csv -o high"));
-    assert!(message.contains("the camera is rather 0.900"), "{message}");
+    assert!(message.contains("the camera is probably 0.900"), "{message}");
     let high_m = rmse_m(here, "high");
     assert!(high_m < 0.002, "{high_m} m");
     let scale = statistics(here, "high")["markers"]["scale"].as_f64().unwrap();

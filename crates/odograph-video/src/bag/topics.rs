@@ -33,9 +33,7 @@ pub(super) fn with_frames(recording: &mut dyn MessageReader, name: Option<&str>)
         };
         return Err(match all.len() {
             0 => refused("no topic has images"),
-            count => {
-                refused(&format!("there are {count} topics with images:")).with_list(list(recording, &all)?)
-            }
+            _ => refused("the topics with images are:").with_list(list(recording, &all)?),
         });
     }
     match all.as_slice() {
@@ -92,8 +90,10 @@ fn list(recording: &mut dyn MessageReader, topics: &[Topic]) -> Result<Vec<Strin
             Some(FirstImage { encoding, .. }) => encoding.clone(),
             None => String::new(),
         };
-        let rate = format!("{:.1} Hz", topic.rate_hz());
-        [topic.name.clone(), image, rate, format!("{} images", topic.count), topic.plain_type()]
+        // A single image has no rate.
+        let rate = if topic.count > 1 { format!("{:.1} Hz", topic.rate_hz()) } else { String::new() };
+        let unit = if topic.count == 1 { "image" } else { "images" };
+        [topic.name.clone(), image, rate, format!("{} {unit}", topic.count), topic.plain_type()]
     };
     let rows: Vec<[String; 5]> = topics.iter().zip(&firsts).map(row).collect();
     let mut widths = [0; 5];

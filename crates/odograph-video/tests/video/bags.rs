@@ -110,14 +110,14 @@ fn several_topics_with_images_are_listed() {
         "there are 17 topics with images; choose one with --topic NAME:",
         "\n  /mono8            24x16 mono8 ",
         "\n  /jpeg/compressed  24x16 jpeg ",
-        "1 images  sensor_msgs/CompressedImage\n",
+        "jpeg                 1 image  sensor_msgs/CompressedImage\n",
     ] {
         assert!(error.contains(words), "{words}: {error}");
     }
     let wrong = SourceOptions { topic: Some("/imu".into()), ..Default::default() };
     let error = open(data("drive.mcap"), &wrong).unwrap_err().to_string();
     assert!(
-        error.contains("no images on the topic /imu; /imu has 6 messages of the type sensor_msgs/msg/Imu; there are 1 topics with images:\n  /camera/image_raw  24x16"),
+        error.contains("no images on the topic /imu; /imu has 6 messages of the type sensor_msgs/msg/Imu; the topics with images are:\n  /camera/image_raw  24x16"),
         "{error}"
     );
     let named = SourceOptions { topic: Some("camera/image_raw".into()), ..Default::default() };

@@ -65,7 +65,10 @@ fn images_are_in_natural_order_at_the_default_rate() {
     assert_eq!(first_samples(&frames), [1, 9, 10]);
     assert_eq!(frames[2].time_s, 2.0 / 30.0);
     assert_eq!(warnings.len(), 1);
-    assert!(warnings[0].contains("30 frames a second are assumed"), "{warnings:?}");
+    assert!(
+        warnings[0].contains("30 frames a second are assumed; give --timestamps or --fps"),
+        "{warnings:?}"
+    );
 
     let with_rate = SourceOptions { fps: Some(4.0), ..SourceOptions::default() };
     let (frames, warnings) = read(folder.path(), &with_rate).unwrap();

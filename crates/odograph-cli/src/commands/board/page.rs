@@ -62,7 +62,7 @@ const LETTER_WIDTH: f64 = 0.56;
 
 impl Page {
     /// Lays a board out on the given paper, or on the smallest of the usual sizes that is large
-    /// enough; upright or across.
+    /// enough; portrait or landscape.
     ///
     /// Fails if it does not fit, and names what would.
     pub fn new(board: &Board, paper: Option<Paper>) -> Result<Self> {
@@ -188,7 +188,7 @@ impl Page {
 
     /// The paper and its orientation, for people.
     pub fn paper_text(&self) -> String {
-        let way = if self.paper.width_mm > self.paper.height_mm { "across" } else { "upright" };
+        let way = if self.paper.width_mm > self.paper.height_mm { "landscape" } else { "portrait" };
         format!("{}, {way}", self.paper)
     }
 
@@ -239,7 +239,7 @@ fn does_not_fit(board: &Board, drawing: &Drawing, paper: Option<Paper>, larger: 
 }
 
 /// The board with the largest squares, in whole millimetres if possible, that fits on a paper,
-/// upright or across.
+/// portrait or landscape.
 fn shrunk(board: &Board, paper: Paper) -> Option<Board> {
     let fits = |board: &Board| {
         let (width_mm, height_mm) = needed_mm(&Drawing::new(board));

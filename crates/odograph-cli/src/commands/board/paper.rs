@@ -4,7 +4,7 @@ use odograph::error::{Error, Result};
 use std::fmt;
 use std::str::FromStr;
 
-/// A sheet of paper, upright or across.
+/// A sheet of paper, in portrait or landscape orientation.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Paper {
     /// Its name, if it has one.

@@ -60,7 +60,7 @@ pub fn merge(arguments: &MergeArguments) -> Result<Outcome> {
     })?;
     MapFile::replace(&claim, &beside)?;
     if !arguments.quiet {
-        console::print(&format!("{summary}{}\n", console::name(&arguments.output)))?;
+        console::print(&format!("{summary}Wrote {}\n", console::name(&arguments.output)))?;
     }
     Ok(Outcome::Done)
 }

@@ -7,11 +7,11 @@ fn page(board: &str, paper: Option<&str>) -> Result<Page> {
 #[test]
 fn a_board_uses_the_smallest_usual_paper_that_fits() {
     for (board, paper) in [
-        ("charuco:8x11:20mm", "A4 paper (210 x 297 mm), upright"),
-        ("chessboard:9x6:25mm", "A4 paper (297 x 210 mm), across"),
-        ("chessboard:9x6:40mm", "A2 paper (594 x 420 mm), across"),
-        ("aprilgrid:6x6:88mm", "A0 paper (841 x 1189 mm), upright"),
-        ("circles:7x5:20mm", "A4 paper (297 x 210 mm), across"),
+        ("charuco:8x11:20mm", "A4 paper (210 x 297 mm), portrait"),
+        ("chessboard:9x6:25mm", "A4 paper (297 x 210 mm), landscape"),
+        ("chessboard:9x6:40mm", "A2 paper (594 x 420 mm), landscape"),
+        ("aprilgrid:6x6:88mm", "A0 paper (841 x 1189 mm), portrait"),
+        ("circles:7x5:20mm", "A4 paper (297 x 210 mm), landscape"),
     ] {
         assert_eq!(page(board, None).unwrap().paper_text(), paper, "{board}");
     }

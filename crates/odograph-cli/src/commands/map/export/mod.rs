@@ -267,9 +267,9 @@ fn path_asked(file: &MapFile, session: Option<u32>) -> Result<Vec<PathFrame>> {
         (asked, known) => {
             let numbers: Vec<String> = known.iter().map(|session| session.id.to_string()).collect();
             let asked = asked
-                .map_or("--session is not given".to_owned(), |asked| format!("there is no session {asked}"));
+                .map_or("it has several sessions".to_owned(), |asked| format!("there is no session {asked}"));
             return Err(Error::usage(format!(
-                "{}: {asked}; the map has the sessions {}",
+                "{}: {asked}; choose one with --session: {}",
                 file.path().display(),
                 numbers.join(", ")
             )));
