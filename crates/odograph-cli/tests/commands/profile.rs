@@ -105,7 +105,7 @@ fn what_is_wrong_with_a_profile_is_one_sentence() {
     assert_eq!(odograph(folder, &save).0, 0);
     assert!(odograph(folder, &save).2.contains("already there; --force replaces it"));
     assert_eq!(odograph(folder, &[&save[..], &["--force"]].concat()).0, 0);
-    assert!(odograph(folder, &["info", "sim/sim.y4m", "--profile", "cat"]).2.contains("the saved profiles are: cart"));
+    assert!(odograph(folder, &["info", "sim/sim.y4m", "--profile", "cat"]).2.contains("profiles are: cart"));
     fs::remove_file(folder.join("sim/camera.yaml")).unwrap();
     let (code, _, message) = odograph(folder, &["run", "sim/sim.y4m", "--profile", "cart"]);
     assert!(code == 3 && message.contains("is no longer there; save the profile again"), "{message}");

@@ -110,7 +110,7 @@ fn several_topics_with_images_are_listed() {
         "there are 17 topics with images; choose one with --topic NAME:",
         "\n  /mono8            24x16 mono8 ",
         "\n  /jpeg/compressed  24x16 jpeg ",
-        "jpeg                 1 image  sensor_msgs/CompressedImage\n",
+        "  1 image  sensor_msgs/CompressedImage\n",
     ] {
         assert!(error.contains(words), "{words}: {error}");
     }
