@@ -20,7 +20,7 @@ use odograph::keyframe::{EdgeKind, KeyframeId};
 use odograph::mosaic::Mosaic;
 use odograph::numerics::median;
 use odograph::odometry::{FrameReference, KeyframeEvent};
-use odograph::slam::{AntennaFix, DriftCorrection, KeyframeSpans, Mapper};
+use odograph::slam::{AntennaFix, DriftCorrection, KeyframeSpans, Mapper, SessionScale};
 use odograph::trajectory::FrameEstimate;
 use odograph_map::{MapClaim, MapFile, PathFrame};
 use odograph_video::Frame;
@@ -260,6 +260,22 @@ impl Mapping {
             format!(
                 "nothing of {} was recognised: {outcome} in a frame of its own, which begins at its first frame{other_scale}",
                 self.file.path.display()
+            )
+        })
+    }
+
+    /// A warning where the run was recognised, but with metres that are not those of the map.
+    pub fn scale_warning(&self) -> Option<String> {
+        let scale = self.mapper.scale_in_map().filter(SessionScale::is_doubtful)?;
+        let in_map_m = self.height_m * scale.ratio;
+        // Three digits: a microscope is millimetres high.
+        let decimals = (2.0 - in_map_m.log10().floor()).clamp(2.0, 9.0) as usize;
+        self.mapper.is_recognised().then(|| {
+            format!(
+                "by the ground that was recognised in {} the camera was {in_map_m:.decimals$} m above it, not \
+                 {:.decimals$} m: check height and focal length, here and of the map",
+                self.file.path.display(),
+                self.height_m
             )
         })
     }

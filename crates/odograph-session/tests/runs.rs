@@ -167,6 +167,30 @@ fn a_picture_is_found_in_a_map_that_stays_as_it_is() {
 }
 
 #[test]
+fn a_wrong_height_in_a_map_is_warned_of() {
+    let folder = tempfile::tempdir().unwrap();
+    clip::run(120).folder(folder.path()).run(&()).unwrap();
+    let map = folder.path().join("map.gpkg");
+    let rig = |height_m: f64| {
+        let path = folder.path().join(format!("{height_m}.toml"));
+        fs::write(&path, format!("height_m = {height_m}\nroll_deg = 1.5\npitch_deg = -3\n")).unwrap();
+        path
+    };
+    let warning = |run: RunBuilder| {
+        let outcome = run.run(&()).unwrap();
+        assert!(outcome.place.is_some());
+        outcome.warnings.into_iter().find(|warning| warning.contains("check height and focal length"))
+    };
+    for (height_m, is_warned) in [(0.9, false), (0.93, true), (0.87, true)] {
+        let found = warning(RunBuilder::localizing(clip::source(120), &map).rig_file(rig(height_m)));
+        assert_eq!(found.is_some(), is_warned, "{height_m}: {found:?}");
+        assert!(found.is_none_or(|found| found.contains("the camera was 0.90")), "{height_m}");
+    }
+    let continued = clip::run(120).rig_file(rig(0.93)).map(MapUse::Continue(map));
+    assert!(warning(continued).is_some());
+}
+
+#[test]
 fn a_run_that_is_stopped_at_once_leaves_no_session_in_a_map() {
     let folder = tempfile::tempdir().unwrap();
     clip::run(40).folder(folder.path()).run(&()).unwrap();

@@ -26,12 +26,6 @@ const IDLE: Duration = Duration::from_secs(5);
 /// its duration: at most a tenth of a core is spent on the mosaic.
 const RENDERED_EVERY: Duration = Duration::from_secs(20);
 const RENDERING_REST: u32 = 9;
-/// Relative difference of a robot's scale from the map's that is tolerated: about what a height
-/// measured with a tape is exact to.
-const TOLERATED_SCALE: f64 = 0.01;
-/// A difference of scale is reported if it exceeds this many of its standard deviations: by chance
-/// one in sixteen thousand does.
-const CERTAIN: f64 = 4.0;
 
 /// What the merging thread shares with those that answer requests.
 #[derive(Debug, Default)]
@@ -234,7 +228,7 @@ impl Merger {
         let robots = self.records.robots()?;
         let doubtful = self.sessions.values().find_map(|stored| {
             let origin = stored.description.origin().ok()?;
-            let scale = map.scale(map.session(&origin)?).filter(is_doubtful)?;
+            let scale = map.scale(map.session(&origin)?).filter(SessionScale::is_doubtful)?;
             let trusted = |(name, state, _): &(String, RobotState, _)| {
                 *name == origin.robot && *state == RobotState::Trusted
             };
@@ -274,12 +268,6 @@ impl Merger {
     pub fn show(&self, shared: &SiteState) -> Result<()> {
         shared.lock_published().update(&self.records, self.map.as_ref())
     }
-}
-
-/// Whether the scale of a session differs significantly from the map's.
-fn is_doubtful(scale: &SessionScale) -> bool {
-    let off = (scale.ratio - 1.0).abs();
-    off > TOLERATED_SCALE && off - TOLERATED_SCALE > CERTAIN * scale.deviation
 }
 
 fn reason(description: &SessionDescription, scale: &SessionScale) -> String {

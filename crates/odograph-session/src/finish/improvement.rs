@@ -71,6 +71,7 @@ impl Improved {
         let reckoned = reckoned.moved_with(&corrected.moves);
         let loops = tracked.mapping.statistics(&corrected);
         tracked.warnings.extend(tracked.mapping.warning());
+        tracked.warnings.extend(tracked.mapping.scale_warning());
         tracked.warnings.extend(plan.sensors.warnings(&reports));
         let markers = tracked.mapping.marker_statistics().map(|(statistics, warnings)| {
             tracked.warnings.extend(warnings);

@@ -27,6 +27,10 @@ const MAX_PENDING: usize = 16;
 /// of the bundled drive, 121 loops leave 1.01 mm RMS and 574 leave 1.00.
 const MAX_SIGHTINGS: usize = 4;
 
+/// Number of places kept whose scales are compared with that of earlier sessions, the newest:
+/// bounds memory.
+const MAX_SCALES: usize = 256;
+
 impl Mapper {
     /// Compares a new keyframe with older ones: those nearby, and where the position is uncertain,
     /// those of similar appearance.
@@ -101,14 +105,19 @@ impl Mapper {
         Ok(())
     }
 
-    /// Records the ratio of the scales of two robots that recognised the same ground.
+    /// Records the ratio of the scales of two sessions that recognised the same ground.
     fn compare_scales(&mut self, new: KeyframeId, recognised: &[Recognised]) {
-        if self.compared != ComparedKeyframes::OtherSessions {
-            return;
-        }
+        let counts = |old: KeyframeId| match self.compared {
+            ComparedKeyframes::OtherSessions => true,
+            ComparedKeyframes::All => self.is_new(new) && !self.is_new(old),
+            ComparedKeyframes::Earlier => false,
+        };
         // A place with few matches has no scale of its own.
         let scales = recognised.iter().map(|place| (new, place.id, place.motion[LN_SCALE]));
-        self.scales.extend(scales.filter(|(.., ln_scale)| *ln_scale != 0.0));
+        let scales: Vec<_> = scales.filter(|&(_, old, ln_scale)| ln_scale != 0.0 && counts(old)).collect();
+        self.scales.extend(scales);
+        let excess = self.scales.len().saturating_sub(MAX_SCALES);
+        self.scales.drain(..excess);
     }
 
     fn reference(&self, id: KeyframeId, images: &mut dyn KeyframeStore) -> Result<Option<ReferenceKeyframe>> {

@@ -3,6 +3,7 @@
 
 use super::Mapper;
 use super::mapper::ComparedKeyframes;
+use super::session_scale::SessionScale;
 use crate::error::Result;
 use crate::geometry::pose_index::{HEADING, X, Y};
 use crate::geometry::{PlaneTransform, Se2, Sim2, propagated};
@@ -10,7 +11,6 @@ use crate::ground_map::{GroundMap, KeyframeStore, MountedCamera};
 use crate::image::RgbImage;
 use crate::keyframe::{EdgeKind, KeyframeId, MapEdge};
 use crate::loop_closure::LoopClosureConfig;
-use crate::numerics::median;
 use crate::odometry::{NewKeyframe, OdometryConfig};
 use nalgebra::Matrix3;
 use std::collections::{BTreeMap, BTreeSet};
@@ -20,10 +20,6 @@ use std::collections::{BTreeMap, BTreeSet};
 const MIN_PLACES: usize = 5;
 /// Number of recognised places kept for each session, the newest: bounds memory.
 const MAX_PLACES: usize = 256;
-/// Standard deviation over the median absolute deviation, for the normal distribution.
-const DEVIATION_OF_MEDIAN: f64 = 1.4826;
-/// Standard deviation of the median over that of the mean, for the normal distribution.
-const MEDIAN_OVER_MEAN: f64 = 1.2533;
 
 /// Where the odometry frame of a session lies in the map.
 #[derive(Debug, Clone, Copy, PartialEq)]
@@ -35,18 +31,6 @@ pub struct OdometryPlacement {
     pub covariance: Matrix3<f64>,
     /// That keyframe.
     pub keyframe: KeyframeId,
-}
-
-/// Scale of a session relative to the sessions before it.
-#[derive(Debug, Clone, Copy, PartialEq)]
-pub struct SessionScale {
-    /// Metres of the map over metres of the session: the true height of its camera over its given
-    /// height, if the map is right.
-    pub ratio: f64,
-    /// Standard deviation of the ratio.
-    pub deviation: f64,
-    /// Number of recognised places.
-    pub places: usize,
 }
 
 /// Builds one map of the sessions of several robots. The result depends only on the order in which
@@ -173,13 +157,8 @@ impl FleetMapper {
     /// Scale of a session relative to earlier ones; `None` if it has recognised too few of their
     /// places.
     pub fn scale(&self, session: u32) -> Option<SessionScale> {
-        let mut logarithms = self.scales.get(&session)?.clone();
-        let places = logarithms.len();
-        let middle = median(&mut logarithms).filter(|_| places >= MIN_PLACES)?;
-        let mut off: Vec<f64> = logarithms.iter().map(|value| (value - middle).abs()).collect();
-        let spread = DEVIATION_OF_MEDIAN * median(&mut off)?;
-        let deviation = MEDIAN_OVER_MEAN * spread / (places as f64).sqrt();
-        Some(SessionScale { ratio: middle.exp(), deviation: middle.exp() * deviation, places })
+        let logarithms = self.scales.get(&session)?;
+        SessionScale::of(logarithms).filter(|scale| scale.places >= MIN_PLACES)
     }
 
     /// Attributes ratios of scales to the later of two sessions: the map is taken to be right.

@@ -9,6 +9,7 @@
 //! Derivation: `docs/math/loop-closure.md`.
 
 mod backoff;
+mod session_scale;
 mod mapper;
 mod antenna;
 mod closing;
@@ -21,11 +22,12 @@ mod fleet;
 
 pub use antenna::{AntennaFix, DriftCorrection};
 pub use correction::{KeyframeSpans, MapFrameCorrection, map_frames};
-pub use fleet::{FleetMapper, OdometryPlacement, SessionScale};
+pub use fleet::{FleetMapper, OdometryPlacement};
 pub use landmarks::{ControlUse, Landmark, Surveyed};
 pub use localization::Located;
 pub use mapper::Mapper;
 pub use merge::{Merged, merge, optimize};
+pub use session_scale::SessionScale;
 
 use crate::camera::{Camera, Rig};
 use crate::error::Result;
