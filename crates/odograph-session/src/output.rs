@@ -96,8 +96,8 @@ impl RunOutput {
         self.least_frames == 1
     }
 
-    /// Whether pictures are drawn: not where they would be removed at once, in a temporary folder, and
-    /// the map takes none.
+    /// Whether pictures are drawn: not where they would be removed at once, in a temporary folder,
+    /// and the map takes none.
     pub fn draws(&self) -> bool {
         self.folder.is_some() || !self.map.is_read_only()
     }
