@@ -145,9 +145,10 @@ impl SiteClient {
     /// The sentence about a request without an answer.
     pub(crate) fn error(&self, why: &NoAnswer) -> Error {
         match why {
-            NoAnswer::Unreachable(why) => {
-                Error::input(format!("the site at {} cannot be reached: {why}", self.address))
-            }
+            NoAnswer::Unreachable(why) => Error::input(format!(
+                "the site at {} cannot be reached: {why}; check the address, and that odograph site serve runs there",
+                self.address
+            )),
             NoAnswer::OutOfOrder => Error::input(format!("the site at {} misses records", self.address)),
             NoAnswer::Refused(why) => Error::input(format!("the site at {} refuses: {why}", self.address)),
         }

@@ -141,7 +141,7 @@ fn a_robot_goes_on_when_the_site_comes_back() {
     });
     let link = SiteLink::start(&map, one.name, client, listening).unwrap();
     let problem = heard.recv_timeout(PATIENCE).unwrap().problem.unwrap();
-    assert!(problem.contains("cannot be reached"), "{problem}");
+    assert!(problem.contains("cannot be reached") && problem.contains("check the address"), "{problem}");
     let served = Served::new(&place, address);
     // All but the end of the session, which only comes when the run is over.
     let last = keyframes(&map) as u64 - 1;
