@@ -42,6 +42,13 @@ pub fn listen() {
     });
 }
 
+/// Lets a write beyond the limit of a file's size (`ulimit -f`) fail like one to a full disk: its
+/// signal would end the program without a word of which file it was.
+pub fn outlive_file_size_limit() {
+    #[cfg(unix)]
+    let _ = signal_hook::flag::register(signal_hook::consts::SIGXFSZ, std::sync::Arc::default());
+}
+
 /// Fails after an interrupt: for commands without partial results.
 pub fn check() -> Result<()> {
     if asked() { Err(Error::output("interrupted; nothing was written")) } else { Ok(()) }

@@ -120,6 +120,7 @@ fn main() -> ExitCode {
         }
     };
     interrupt::listen();
+    interrupt::outlive_file_size_limit();
     let outcome: Result<Outcome> = match arguments.command {
         Command::Demo(arguments) => commands::demo::demo(arguments),
         Command::Run(arguments) => commands::run::run(arguments),

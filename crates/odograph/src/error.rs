@@ -104,6 +104,9 @@ fn remedy(why: io::ErrorKind) -> &'static str {
         ReadOnlyFilesystem | PermissionDenied => "; choose a place where you may write",
         NotADirectory => "; a part of its path is a file, so choose another place",
         io::ErrorKind::NotFound => "; make its folder, or choose another place",
+        io::ErrorKind::FileTooLarge => {
+            "; raise the limit of a file's size (ulimit -f), or choose another place"
+        }
         _ => "",
     }
 }

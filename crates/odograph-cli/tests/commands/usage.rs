@@ -263,3 +263,19 @@ fn help_that_cannot_be_written_is_an_error() {
         assert_eq!(message.lines().count(), 1, "{message}");
     }
 }
+
+#[test]
+#[cfg(unix)]
+fn a_limit_of_the_file_size_is_an_error_of_the_write() {
+    let place = tempfile::tempdir().unwrap();
+    let program = env!("CARGO_BIN_EXE_odograph");
+    let limited = format!("ulimit -f 20; exec '{program}' simulate --path still --duration 0.1 -o sim");
+    let output = Command::new("sh").args(["-c", &limited]).current_dir(place.path()).output().unwrap();
+    let message = message(&output);
+    assert_eq!(output.status.code(), Some(3), "{message}");
+    assert!(
+        message.contains("cannot be written: File too large") && message.contains("ulimit -f"),
+        "{message}"
+    );
+    assert!(!place.path().join("sim").exists(), "{message}");
+}
