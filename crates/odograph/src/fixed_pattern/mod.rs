@@ -158,7 +158,7 @@ impl FixedPattern {
             self.take();
             return SinceLast::Unclear;
         }
-        self.change.between(&self.last, &self.now, self.noise, self.mask.as_deref());
+        self.change.between(&self.last, &self.now, self.mask.as_deref());
         let wanted = if self.mask.is_some() { MOVED_SHARE_OF_GROUND } else { MOVED_SHARE };
         let Change { blocks, textured, moved, .. } = self.change;
         if (textured as f64) < MIN_TEXTURED * blocks as f64 || (moved as f64) < wanted * textured as f64 {

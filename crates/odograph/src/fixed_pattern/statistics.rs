@@ -1,9 +1,10 @@
 //! Gradients of the cells and their temporal statistics.
 
+use super::MIN_NOISE;
 use super::image_mask::{CELL_PX, ImageMask, cells};
 use crate::image::GrayImage;
 
-/// The sums of the 16 samples of each cell, 0 to 4080.
+/// The sums of the 16 samples of each cell, 0 to 4080, and the noise of each block of cells.
 #[derive(Debug)]
 pub(super) struct Cells {
     columns: usize,
@@ -11,6 +12,10 @@ pub(super) struct Cells {
     sums: Vec<i16>,
     /// Sums of four rows along each column.
     band: Vec<u16>,
+    /// Variance of what is uncorrelated between neighbouring pixels of each block, gray levels²; at
+    /// least the median of all blocks, as one block alone has few samples.
+    noise: Vec<f32>,
+    sorted: Vec<f32>,
 }
 
 /// Expected squared gradient of a cell per unit of pixel noise variance: two components, each the
@@ -20,12 +25,14 @@ const GRADIENT_NOISE: f64 = 64.0;
 impl Cells {
     pub fn new(size: (usize, usize)) -> Self {
         let (columns, rows) = cells(size);
-        Self { columns, rows, sums: vec![0; columns * rows], band: vec![0; size.0] }
+        let noise = vec![0.0; (columns / BLOCK) * (rows / BLOCK)];
+        let (sums, band, sorted) = (vec![0; columns * rows], vec![0; size.0], noise.clone());
+        Self { columns, rows, sums, band, noise, sorted }
     }
 
     /// Computes the sums of an image, which must have the size given to [`Cells::new`].
     pub fn fill(&mut self, image: &GrayImage) {
-        let Self { columns, band, sums, .. } = self;
+        let Self { columns, band, sums, noise, sorted, .. } = self;
         for (row, sums) in sums.chunks_exact_mut(*columns).enumerate() {
             band.fill(0);
             for y in (row * CELL_PX..(row + 1) * CELL_PX).take_while(|&y| y < image.height()) {
@@ -35,6 +42,20 @@ impl Cells {
                 *sum = four.iter().sum::<u16>() as i16;
             }
         }
+        if noise.is_empty() {
+            return;
+        }
+        for (row, noise) in noise.chunks_exact_mut(*columns / BLOCK).enumerate() {
+            noise.fill(0.0);
+            for y in (row * BLOCK_PX..(row + 1) * BLOCK_PX).skip(1).step_by(NOISE_ROWS) {
+                if y + 1 < image.height() {
+                    add_noise(noise, [image.row(y - 1), image.row(y), image.row(y + 1)]);
+                }
+            }
+        }
+        sorted.copy_from_slice(noise);
+        let median = *sorted.select_nth_unstable_by(noise.len() / 2, f32::total_cmp).1;
+        noise.iter_mut().for_each(|noise| *noise = noise.max(median));
     }
 
     /// Forward differences (to the right and below) of the cells of a row that have both
@@ -63,8 +84,27 @@ pub(super) struct Change {
     columns: usize,
 }
 
-/// Side length of a block, cells.
+/// Side length of a block, cells and pixels.
 const BLOCK: usize = 4;
+const BLOCK_PX: usize = BLOCK * CELL_PX;
+
+/// The noise of a block is measured in every fourth row: 56 samples, a third of which are
+/// independent.
+const NOISE_ROWS: usize = 4;
+
+/// Adds to each block its share of the noise variance in the middle one of three rows of pixels:
+/// the mean square of the mask of Immerkær (see [`crate::image::noise_variance`]).
+fn add_noise(blocks: &mut [f32], [above, here, below]: [&[u8]; 3]) {
+    const WEIGHTS_SQUARED: usize = 36;
+    const SAMPLES: usize = (BLOCK_PX - 2) * (BLOCK_PX / NOISE_ROWS);
+    let rows = above.chunks(BLOCK_PX).zip(here.chunks(BLOCK_PX)).zip(below.chunks(BLOCK_PX));
+    for (block, ((above, here), below)) in blocks.iter_mut().zip(rows) {
+        let bent = |row: &[u8]| i32::from(row[0]) - 2 * i32::from(row[1]) + i32::from(row[2]);
+        let rows = above.windows(3).zip(here.windows(3)).zip(below.windows(3));
+        let squares = rows.map(|((above, here), below)| (bent(above) - 2 * bent(here) + bent(below)).pow(2));
+        *block += squares.sum::<i32>() as f32 / (WEIGHTS_SQUARED * SAMPLES) as f32;
+    }
+}
 
 /// Minimum ratio of a block's squared gradients to their noise expectation for it to have texture.
 const TEXTURED: f32 = 2.0;
@@ -91,8 +131,10 @@ impl Change {
         }
     }
 
-    /// Compares two images whose pixel noise has the variance `noise`, gray levels².
-    pub fn between(&mut self, last: &Cells, now: &Cells, noise: f64, mask: Option<&ImageMask>) {
+    /// Compares two images. The noise is that of each block itself: its variance over the image and
+    /// over time varies with exposure, and noise that exceeds its estimate looks like moved
+    /// texture.
+    pub fn between(&mut self, last: &Cells, now: &Cells, mask: Option<&ImageMask>) {
         self.differences.fill(0.0);
         self.energies.fill(0.0);
         self.slopes.fill([0; 4]);
@@ -127,8 +169,11 @@ impl Change {
             *difference -= share * ((bx - ax).powi(2) + (by - ay).powi(2));
             *energy -= share * (ax * ax + ay * ay + bx * bx + by * by);
         }
-        let by_noise = (2.0 * GRADIENT_NOISE * noise) as f32 * (BLOCK * BLOCK) as f32;
-        for (block, (difference, energy)) in self.differences.iter().zip(&self.energies).enumerate() {
+        let (gains, least) = ((GRADIENT_NOISE * (BLOCK * BLOCK) as f64) as f32, MIN_NOISE as f32);
+        let noises =
+            last.noise.iter().zip(&now.noise).map(|(last, now)| gains * (last.max(least) + now.max(least)));
+        let blocks = self.differences.iter().zip(&self.energies).zip(noises);
+        for (block, ((difference, energy), by_noise)) in blocks.enumerate() {
             let (column, row) = (block % columns * BLOCK, block / columns * BLOCK);
             let masked = |mask: &ImageMask| {
                 mask.covers_cell(column + BLOCK / 2, row + BLOCK / 2) || mask.covers_cell(column, row)

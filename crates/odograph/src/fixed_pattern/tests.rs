@@ -66,6 +66,23 @@ fn a_stationary_camera_masks_nothing() {
 }
 
 #[test]
+fn noise_that_grows_is_no_motion() {
+    let moving = drive(16).chain(std::iter::repeat_n((0.255, 0.0), 26));
+    let mut fixed = FixedPattern::new((320, 240));
+    let mut random = Random::new(9);
+    for (frame, mut image) in images("tiles", moving).into_iter().enumerate() {
+        if frame >= 16 {
+            for sample in image.samples_mut() {
+                let noise: i32 = (0..12).map(|_| random.below(5) as i32 - 2).sum();
+                *sample = (i32::from(*sample) + noise).clamp(0, 255) as u8;
+            }
+        }
+        let since_last = fixed.look(&image);
+        assert!(frame <= 24 || since_last == SinceLast::Unclear, "frame {frame}");
+    }
+}
+
+#[test]
 fn a_bumper_is_masked_within_ten_frames_and_little_else() {
     for texture in ["concrete", "asphalt", "tiles"] {
         let driving: Vec<GrayImage> = images(texture, drive(10)).into_iter().map(with_bumper).collect();

@@ -289,7 +289,7 @@ impl Matcher {
         let off_m =
             (whole.estimate.pose.x_m - corners.pose.x_m).hypot(whole.estimate.pose.y_m - corners.pose.y_m);
         let is_significant = whole.score >= DenseEstimate::LEAST_SCORE
-            && whole.agreement >= motion.minimum_inlier_fraction
+            && whole.agreement >= DenseEstimate::LEAST_AGREEMENT
             && off_m < pixel_m
             && has_equal_tilt(&corners.pose, &whole.estimate.pose, CONTRADICTING);
         (is_significant && spread(&whole.estimate) < spread(corners)).then_some(whole.estimate)

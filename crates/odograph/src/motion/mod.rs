@@ -117,7 +117,7 @@ impl Default for MotionConfig {
             model: MotionModel::Auto,
             inlier_px: 2.0,
             minimum_inliers: 12,
-            minimum_inlier_fraction: 0.35,
+            minimum_inlier_fraction: 0.2,
             height_prior: 0.2,
             tilt_prior_rad: 0.2,
         }

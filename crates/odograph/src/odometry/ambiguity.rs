@@ -22,6 +22,15 @@ const SURPRISE_PX: f64 = 12.0;
 /// Where a smaller part of the corners in view agrees with a surprise, it may be something else.
 const SURPRISING_INLIER_RATIO: f64 = 0.7;
 
+/// A pose this near to its prediction, pixels, is not searched for elsewhere if tracks agree on it
+/// so closely that this decimal logarithm of the number of false alarms is not exceeded.
+/// Overlapping patches are not independent, hence far less than one. Chosen on tiles in falling
+/// snow, where a fifth of the corners is of the ground; an image blurred over 200 pixels has a
+/// twentieth.
+const EXPECTED_PX: f64 = 4.0;
+const MOST_FALSE_ALARMS: f64 = -6.0;
+const EXPECTED_INLIER_RATIO: f64 = 0.1;
+
 /// Number of frames after a loss in which a standing image is not taken for a camera that came to
 /// rest exactly at its keyframe.
 const MOST_SHADOWED: usize = 15;
@@ -30,12 +39,19 @@ impl Odometry {
     /// Whether a measurement may have tracked something beside the ground, such as a moving shadow,
     /// or another part of the ground that looks alike: few corners in view are inliers, or less
     /// than most although the pose is far from the prediction.
-    pub(super) fn is_ambiguous(&self, measurement: &Measurement) -> bool {
-        let (found, expected) = (&measurement.estimate.pose, &measurement.prediction);
+    pub(super) fn is_ambiguous(&self, measurement: &Measurement, time_s: f64) -> bool {
+        let found = &measurement.estimate.pose;
+        let expected = self.expected(time_s).unwrap_or(measurement.prediction);
         let off_m = (found.x_m - expected.x_m).hypot(found.y_m - expected.y_m);
-        let surprising = off_m * self.camera.focal_px().0 > SURPRISE_PX * found.height_m;
+        let off_px = off_m * self.camera.focal_px().0 / found.height_m;
+        let is_expected = off_px < EXPECTED_PX
+            && measurement.false_alarms(self.config.motion.inlier_px) < MOST_FALSE_ALARMS;
         let wanted = self.learned.usual_inlier_ratio()
-            * if surprising { SURPRISING_INLIER_RATIO } else { AMBIGUOUS_INLIER_RATIO };
+            * match off_px > SURPRISE_PX {
+                true => SURPRISING_INLIER_RATIO,
+                false if is_expected => EXPECTED_INLIER_RATIO,
+                false => AMBIGUOUS_INLIER_RATIO,
+            };
         // The support counts corners out of view too: the inlier_ratio is never below it.
         measurement.support < wanted
             && self
@@ -58,10 +74,11 @@ impl Odometry {
             return near;
         }
         let least = CHANCE_INLIER_RATIO * self.learned.usual_inlier_ratio();
+        let (expected, gap_s) = (last.extrapolated(time_s), time_s - last.time_s);
         let near = near.and_then(|measurement| {
             let inlier_ratio = measurement.inlier_ratio(keyframe, &self.camera);
             if inlier_ratio < SURPRISING_INLIER_RATIO * self.learned.usual_inlier_ratio()
-                && measurement.stands_still(keyframe, &self.camera)
+                && measurement.stands_still(keyframe, &self.camera, &expected)
             {
                 return Err(LossReason::Shadow);
             }
@@ -75,8 +92,8 @@ impl Odometry {
             return near;
         }
         let reason = near.as_ref().err().copied().unwrap_or(LossReason::NotPlanar);
-        let (expected, frames) = (last.extrapolated(time_s), self.lost_frames);
-        let lost = Lost { pyramid, last, expected, frames, ambiguous: near.ok() };
+        let frames = self.lost_frames;
+        let lost = Lost { pyramid, last, expected, gap_s, frames, ambiguous: near.ok() };
         let (camera, config, mut random) = (&self.camera, &self.config, Random::new(self.frames));
         let found =
             self.recovery.find(lost, keyframe, &mut self.memory, camera, config, &self.learned, &mut random);
@@ -85,7 +102,7 @@ impl Odometry {
             && found.remembered.is_none()
             && found.measurement.inlier_ratio(keyframe, camera)
                 < SURPRISING_INLIER_RATIO * self.learned.usual_inlier_ratio()
-            && found.measurement.stands_still(keyframe, camera);
+            && found.measurement.stands_still(keyframe, camera, &expected);
         if shadow {
             return Err(LossReason::Shadow);
         }

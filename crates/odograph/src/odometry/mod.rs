@@ -341,7 +341,7 @@ impl Odometry {
     fn measure(&mut self, pyramid: &Pyramid, time_s: f64) -> std::result::Result<Measurement, LossReason> {
         let near = self.measure_near(pyramid, time_s);
         let measured = match near {
-            Ok(measurement) if !self.is_ambiguous(&measurement) => Ok(measurement),
+            Ok(measurement) if !self.is_ambiguous(&measurement, time_s) => Ok(measurement),
             near => self.recover(pyramid, time_s, near),
         };
         measured.map(|measurement| self.confirm(pyramid, measurement))
@@ -373,7 +373,7 @@ impl Odometry {
     /// A measured frame: its pose improved by the filter, and perhaps the next keyframe.
     fn accept(&mut self, pyramid: Pyramid, time_s: f64, measurement: Measurement) -> FrameEstimate {
         let inlier_ratio = self.keyframe.as_ref().map(|k| measurement.inlier_ratio(k, &self.camera));
-        let Measurement { mut estimate, found, support, .. } = measurement;
+        let Measurement { mut estimate, found, fixed, support, .. } = measurement;
         let update = self.keyframe_update(&estimate);
         self.move_with_keyframe(&mut estimate, &update);
         let uncertainty = self.uncertainty(&estimate, &update);
@@ -395,7 +395,11 @@ impl Odometry {
             self.spare = Some(pyramid);
             // The mean follows its corners from frame to frame, under numbers of their own.
             if let Some(keyframe) = self.keyframe.as_mut().filter(|_| !is_mean) {
-                keyframe.drop_moving(&found, &estimate);
+                if fixed.is_empty() {
+                    keyframe.drop_moving(&found, &estimate);
+                } else {
+                    keyframe.drop_corners(&fixed);
+                }
             }
         }
         FrameEstimate {

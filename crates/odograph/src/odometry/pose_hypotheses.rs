@@ -22,20 +22,29 @@ const FULL_SEARCH_PX: f64 = 4.0;
 /// flight over a checkerboard whose period is 30 pixels or more.
 const NEAR_PX: f64 = 6.0;
 
+/// Ground that moves as predicted is preferred to corners that stand still in the image where it
+/// has at least this part of their number. Not derived; chosen.
+const LEAST_GROUND: f64 = 0.2;
+
 type Measured = Result<Measurement, LossReason>;
 
 impl Odometry {
+    /// Where the keyframe should show the next frame; `None` before the first one.
+    pub(super) fn expected(&self, time_s: f64) -> Option<GroundPose> {
+        let last = self.last.as_ref()?;
+        Some(match self.config.motion.model {
+            // The mean vector is measured from the last frame.
+            MotionModel::Mean => last.pose,
+            _ => self.beside_keyframe(&last.extrapolated(time_s)),
+        })
+    }
+
     /// The pose of a frame near where it is expected, tried from several predictions.
     pub(super) fn measure_near(&self, pyramid: &Pyramid, time_s: f64) -> Measured {
         let (Some(keyframe), Some(last)) = (&self.keyframe, &self.last) else {
             return Err(LossReason::Bare);
         };
-        // The mean vector is measured from the last frame; other models start from the predicted
-        // pose.
-        let extrapolated = match self.config.motion.model {
-            MotionModel::Mean => last.pose,
-            _ => self.beside_keyframe(&last.extrapolated(time_s)),
-        };
+        let Some(extrapolated) = self.expected(time_s) else { return Err(LossReason::Bare) };
         let predictions = [&extrapolated, &self.beside_keyframe(&last.pose)];
         let (camera, config, learned) = (&self.camera, &self.config, &self.learned);
         if let Some(whole) =
@@ -50,7 +59,7 @@ impl Odometry {
                 near.refined || near.support >= self.enough_support() || self.nearly_all_agree(keyframe, near)
             };
             if near.as_ref().is_ok_and(found_enough) {
-                return near;
+                return self.or_moving(near, pyramid, &extrapolated);
             }
         }
         let mut random = Random::new(self.frames);
@@ -61,7 +70,30 @@ impl Odometry {
                 break;
             }
         }
-        self.or_elsewhere(wide, pyramid, last, time_s)
+        let measured = self.or_elsewhere(wide, pyramid, last, time_s);
+        self.or_moving(measured, pyramid, &extrapolated)
+    }
+
+    /// The measured pose or, if it is that of what stands still in the image although the camera
+    /// should have moved, the predicted one if enough corners agree with it. Drops on the lens, or
+    /// rows of the image before, may outnumber the corners of the ground.
+    fn or_moving(&self, measured: Measured, pyramid: &Pyramid, prediction: &GroundPose) -> Measured {
+        let (Some(keyframe), Ok(still)) = (&self.keyframe, &measured) else { return measured };
+        if self.config.motion.model == MotionModel::Mean
+            || !still.stands_still(keyframe, &self.camera, prediction)
+        {
+            return measured;
+        }
+        let least = LEAST_GROUND * still.estimate.inlier_count() as f64;
+        let moves = |found: &Measurement| {
+            !found.stands_still(keyframe, &self.camera, prediction)
+                && found.estimate.inlier_count() as f64 >= least
+        };
+        let moving = self.measure_within(keyframe, pyramid, prediction, NEAR_PX).ok().filter(moves);
+        let Some(moving) = moving else { return measured };
+        let tracks = still.found.iter().zip(&still.estimate.inliers);
+        let fixed = tracks.filter(|(_, inlier)| **inlier).map(|(found, _)| found.corner).collect();
+        Ok(moving.beside(fixed, keyframe))
     }
 
     /// What a wide search found or, if fewer corners than usual agree with that and more with a

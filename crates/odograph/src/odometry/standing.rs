@@ -78,6 +78,12 @@ impl Odometry {
         let pose = measurement.estimate.pose;
         let focal_px = self.camera.focal_px().0;
         let stands_at = |before: &GroundPose| seen_apart(before, &pose) * focal_px < STILL_PX;
+        // What is fixed in the image stays where the keyframe shows it. Corners that have moved
+        // since and stand now are of the ground.
+        if !self.keyframe.as_ref().is_some_and(|keyframe| stands_at(&keyframe.pose)) {
+            self.standing.suspected = None;
+            return Ok(measurement);
+        }
         let standing = &mut self.standing;
         if since_last == SinceLast::Moved && standing.counted.as_ref().is_some_and(stands_at) {
             (standing.suspected, standing.frames_left) = (Some(pose), SUSPICION_FRAMES);

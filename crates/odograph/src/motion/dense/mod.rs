@@ -57,6 +57,9 @@ pub struct DenseEstimate {
 }
 
 impl DenseEstimate {
+    /// Smallest inlier ratio of a match. Not derived; chosen.
+    pub const LEAST_AGREEMENT: f64 = 0.35;
+
     /// Unrelated images do not reach this score, false optima rarely. Not derived; chosen.
     pub const LEAST_SCORE: f64 = 4.0;
 }

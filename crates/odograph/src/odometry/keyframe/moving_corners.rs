@@ -35,6 +35,13 @@ impl Keyframe {
         }
     }
 
+    /// Drops corners that do not lie on the ground.
+    pub fn drop_corners(&mut self, dropped: &[usize]) {
+        let mut index = 0..;
+        self.corners.retain(|_| index.next().is_none_or(|index| !dropped.contains(&index)));
+        self.corners_at_first -= dropped.len();
+    }
+
     /// What is known of ground that moves by itself, for the next keyframe.
     pub fn moving_ground(&self) -> MovingGround {
         let centre = GroundPoint { x_m: self.pose.x_m, y_m: self.pose.y_m };

@@ -1,4 +1,4 @@
-//! Ground that moves by itself, rendered with exact truth.
+//! Ground that moves by itself and images parts of which stand still, rendered with exact truth.
 
 use super::*;
 use crate::simulation::Sway;
@@ -27,4 +27,27 @@ fn swaying_grass_does_not_shift_the_path() {
     }
     // 1.1 mm where moving corners are kept. Measured: 0.01 mm.
     assert!(off_mm < 0.3, "{off_mm} mm");
+}
+
+#[test]
+fn rows_of_the_image_before_do_not_stop_the_camera() {
+    let world = World::new("asphalt");
+    let mut odometry = world.odometry();
+    let (mut before, mut keyframes): (Option<(GrayImage, bool)>, _) = (None, 0);
+    for frame in 0..24 {
+        let truth = at(0.08 * frame as f64, 0.0, 0.0);
+        let image = world.image(truth, frame);
+        let mut shown = image.clone();
+        // Where a keyframe has just been made, half of what it shows stays where it was.
+        if let Some((before, true)) = before.filter(|_| frame > 2) {
+            let rows = 80 * 640..320 * 640;
+            shown.samples_mut()[rows.clone()].copy_from_slice(&before.samples()[rows]);
+            keyframes += 1;
+        }
+        let found = odometry.process(shown, frame as f64 * FRAME_S).unwrap();
+        // 80 mm where the image before is followed.
+        assert_right(&found, &truth, 2.0);
+        before = Some((image, found.keyframe));
+    }
+    assert!(keyframes >= 3, "{keyframes} keyframes");
 }

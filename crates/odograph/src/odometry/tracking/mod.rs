@@ -33,6 +33,8 @@ pub struct Measurement {
     pub prediction: GroundPose,
     /// The corners found again, in step with the estimate's inliers.
     pub found: Buffer<FoundCorner>,
+    /// Corners of the keyframe that stay in the image while the camera moves.
+    pub fixed: Buffer<usize>,
     /// Overlap times inlier ratio: inliers over all corners that the keyframe had, 0 to 1.
     pub support: f64,
     /// Whether the probe corners agreed on a pose from which the rest was searched for: what was
@@ -122,13 +124,14 @@ fn measure_whole(
     let prior = learned.rig_prior.prior(prediction, &config.motion);
     let found = dense::refine(camera, keyframe.dense(camera), &image, prediction, &prior, &config.motion);
     let found = found.filter(|found| found.score >= DenseEstimate::LEAST_SCORE).ok_or(LossReason::Jump)?;
-    if found.agreement < config.motion.minimum_inlier_fraction {
+    if found.agreement < DenseEstimate::LEAST_AGREEMENT {
         return Err(LossReason::NotPlanar);
     }
     Ok(Measurement {
         estimate: found.estimate,
         prediction: *prediction,
         found: Buffer::new(),
+        fixed: Buffer::new(),
         support: found.agreement * found.overlap,
         refined: true,
         agreement: Some(found.agreement),
@@ -178,7 +181,11 @@ pub fn confirm(
         return measurement;
     }
     let found = FoundCorners { found, probe_pose: measurement.refined.then_some(measurement.estimate.pose) };
-    fit_pose(keyframe, found, camera, &measurement.prediction, config, learned, random).unwrap_or(measurement)
+    match fit_pose(keyframe, found, camera, &measurement.prediction, config, learned, random) {
+        Ok(again) if again.fixed.is_empty() => again.beside(measurement.fixed, keyframe),
+        Ok(again) => again,
+        Err(_) => measurement,
+    }
 }
 
 /// Where fewer tracks than this fraction come back, blur keeps them from it, and the few that do

@@ -10,6 +10,7 @@ use super::mean_motion::mean_motion;
 use super::observations::observations;
 use super::search::FoundCorners;
 use super::visibility::reason_of_loss;
+use crate::buffer::Buffer;
 use crate::camera::Camera;
 use crate::geometry::GroundPose;
 use crate::motion::{
@@ -46,8 +47,8 @@ pub(super) fn fit_pose(
     };
     let estimate = estimate.ok_or_else(|| reason_of_loss(keyframe, camera, &found, prediction))?;
     let support = estimate.inlier_count() as f64 / keyframe.corners_at_first.max(1) as f64;
-    let refined = probe_pose.is_some();
-    Ok(Measurement { estimate, prediction: *prediction, found, support, refined, agreement: None })
+    let (refined, fixed) = (probe_pose.is_some(), Buffer::new());
+    Ok(Measurement { estimate, prediction: *prediction, found, fixed, support, refined, agreement: None })
 }
 
 /// Fits of one frame under several hypotheses about the ground.

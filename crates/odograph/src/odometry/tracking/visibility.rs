@@ -3,29 +3,50 @@
 use super::super::found_corner::FoundCorner;
 use super::super::keyframe::{KeyCorner, Keyframe};
 use super::Measurement;
+use crate::buffer::Buffer;
 use crate::camera::Camera;
 use crate::geometry::GroundPose;
 use crate::motion::ViewingPose;
 use crate::trajectory::LossReason;
 
 impl Measurement {
+    /// The same where other corners are fixed in the image and do not count.
+    pub fn beside(self, fixed: Buffer<usize>, keyframe: &Keyframe) -> Self {
+        let corners = keyframe.corners_at_first.saturating_sub(fixed.len());
+        let support = self.estimate.inlier_count() as f64 / corners.max(1) as f64;
+        Self { fixed, support, ..self }
+    }
+
     /// Inlier ratio among the keyframe's corners that a camera at the measured pose should see, 0
     /// to 1: low if only something beside the ground was tracked.
     pub fn inlier_ratio(&self, keyframe: &Keyframe, camera: &Camera) -> f64 {
         let estimate = &self.estimate;
         self.agreement.unwrap_or_else(|| {
-            let expected = in_view(keyframe, keyframe.corners.iter(), camera, &estimate.pose);
+            let count = |corners: &mut dyn Iterator<Item = &KeyCorner>| {
+                in_view(keyframe, corners, camera, &estimate.pose)
+            };
+            let fixed = count(&mut self.fixed.iter().map(|&corner| &keyframe.corners[corner]));
+            let expected = count(&mut keyframe.corners.iter()) - fixed;
             estimate.inlier_count() as f64 / expected.max(1) as f64
         })
     }
 
-    /// Whether the inliers stand still in the image although the camera should have moved since the
-    /// keyframe, as the shadow of the vehicle does.
-    pub fn stands_still(&self, keyframe: &Keyframe, camera: &Camera) -> bool {
+    /// Decimal logarithm of the number of false alarms: how often so many of the tracks would agree
+    /// so closely by chance, if they ended anywhere within twice `inlier_px` of their predictions
+    /// (L. Moisan and B. Stival, "A probabilistic criterion to detect rigid point matches", 2004).
+    /// Tracks begin at their predictions and end near them even where the ground is another.
+    pub fn false_alarms(&self, inlier_px: f64) -> f64 {
+        let (tracks, inliers) = (self.found.len(), self.estimate.inlier_count());
+        false_alarms(tracks, inliers, self.estimate.residual_px / inlier_px)
+    }
+
+    /// Whether the inliers stand still in the image although the camera, expected at `to`, should
+    /// have moved since the keyframe, as the shadow of the vehicle does.
+    pub fn stands_still(&self, keyframe: &Keyframe, camera: &Camera, to: &GroundPose) -> bool {
         const STILL_PX: f64 = 1.0;
         const MOVED_PX: f64 = 6.0;
         const MOST: f64 = 0.6;
-        let (from, to) = (&keyframe.pose, &self.prediction);
+        let from = &keyframe.pose;
         let moved_m = (to.x_m - from.x_m).hypot(to.y_m - from.y_m);
         if moved_m * camera.focal_px().0 < MOVED_PX * to.height_m {
             return false;
@@ -36,6 +57,14 @@ impl Measurement {
         });
         still.count() as f64 > MOST * self.estimate.inlier_count().max(1) as f64
     }
+}
+
+/// See [`Measurement::false_alarms`]. `residual` is the root mean square residual over half of the
+/// radius within which the tracks end by chance, which it is where they fill that disc evenly.
+fn false_alarms(tracks: usize, inliers: usize, residual: f64) -> f64 {
+    let chance = residual.powi(2).clamp(1e-9, 1.0);
+    let choices: f64 = (1..=inliers).map(|i| ((tracks - inliers + i) as f64 / i as f64).log10()).sum();
+    choices + inliers as f64 * chance.log10()
 }
 
 /// Reason of a loss: most of what should be in view was found but does not move as one plane, or it
@@ -81,3 +110,20 @@ pub fn still_seen(keyframe: &Keyframe, camera: &Camera, found: &[FoundCorner], p
 
 /// A template nearer to the border than this cannot be found.
 const TEMPLATE_REACH_PX: f64 = 10.0;
+
+#[cfg(test)]
+mod tests {
+    use super::false_alarms;
+
+    #[test]
+    fn close_agreement_is_evidence_and_scattered_agreement_is_none() {
+        // Certain: all of a few tracks on a point.
+        assert!(false_alarms(20, 20, 0.05) < -50.0);
+        // Two fifths of the tracks within a quarter of the radius.
+        assert!((-20.0..-10.0).contains(&false_alarms(78, 33, 0.285)));
+        // Tracks that fill the disc agree by construction, however many they are.
+        assert!(false_alarms(118, 51, 1.0) > 0.0);
+        assert!(false_alarms(400, 400, 1.2) >= 0.0);
+        assert!(false_alarms(0, 0, 0.5) == 0.0);
+    }
+}
