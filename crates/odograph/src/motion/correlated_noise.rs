@@ -200,11 +200,19 @@ mod tests {
     use crate::camera::Distortion;
     use crate::geometry::GroundPoint;
     use crate::motion::{Elevation, Random};
-    use nalgebra::Matrix2;
+    use nalgebra::{Matrix2, Vector3};
 
     fn observation(ground: GroundPoint, pixel: Pixel, whitening: Matrix2<f64>) -> Observation {
-        let elevation = Elevation::FLAT;
-        Observation { ground, elevation, pixel, whitening, row_fraction: 0.0, keyframe_row_fraction: 0.0 }
+        Observation {
+            ground,
+            elevation: Elevation::FLAT,
+            pixel,
+            whitening,
+            row_fraction: 0.0,
+            keyframe_row_fraction: 0.0,
+            centre_of_projection: Vector3::z(),
+            corrected_at_m: 0.0,
+        }
     }
 
     /// The correlation from 50 frames of 300 tracks with independent noise and noise of their block

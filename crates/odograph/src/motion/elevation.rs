@@ -7,7 +7,8 @@
 //! weighs along its parallax. Derivation: `docs/math/elevation.md`.
 
 use crate::buffer::stored;
-use crate::geometry::{GroundPoint, GroundPose};
+use crate::geometry::GroundPoint;
+use nalgebra::Vector3;
 
 /// Normal distribution of the elevation of a ground point above the plane z = 0.
 #[derive(Debug, Clone, Copy, PartialEq, Default)]
@@ -25,13 +26,10 @@ impl Elevation {
     pub const FLAT: Self = Self { mean_m: 0.0, variance_m2: 0.0 };
 }
 
-/// A ground point at another elevation, metres, on the same ray of its keyframe.
-pub fn along_ray(keyframe: &GroundPose, ground: GroundPoint, from_m: f64, to_m: f64) -> GroundPoint {
-    let nearer = (keyframe.height_m - to_m) / (keyframe.height_m - from_m);
-    GroundPoint::new(
-        keyframe.x_m + nearer * (ground.x_m - keyframe.x_m),
-        keyframe.y_m + nearer * (ground.y_m - keyframe.y_m),
-    )
+/// A ground point at another elevation, metres, on the same ray of a camera at `centre`.
+pub fn along_ray(centre: &Vector3<f64>, ground: GroundPoint, from_m: f64, to_m: f64) -> GroundPoint {
+    let nearer = (centre.z - to_m) / (centre.z - from_m);
+    GroundPoint::new(centre.x + nearer * (ground.x_m - centre.x), centre.y + nearer * (ground.y_m - centre.y))
 }
 
 /// Measurement of the elevation of a point by a frame, given the pose of the frame.

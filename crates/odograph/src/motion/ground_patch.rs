@@ -1,5 +1,6 @@
 //! Image patches on the ground plane: their warp into another camera's image.
 
+use super::elevation::along_ray;
 use super::residual::{Axes, ray_by_pose};
 use super::rolling_shutter::RollingShutter;
 use crate::camera::Camera;
@@ -32,6 +33,8 @@ pub struct GroundPatch {
     pub ground: GroundPoint,
     /// Elevation of the centre above the plane z = 0, metres.
     pub elevation_m: f64,
+    /// Position of the camera when the row of the centre was exposed, metres.
+    pub centre_of_projection: Vector3<f64>,
     /// Ground points of the ring.
     ring: [GroundPoint; POINTS],
     /// Sampling distance, pixels.
@@ -66,8 +69,15 @@ impl GroundPatch {
         let (ray, around) = rays_about(camera, centre, RING_RADIUS * pixels_per_sample)?;
         let [a, b, c, d, e] = around.map(|ray| from.of(ray));
         let ring = [a?, b?, c?, d?, e?];
-        let (ground, elevation_m) = (from.of(ray)?, from.elevation_m);
-        Some(Self { ground, elevation_m, ring, pixels_per_sample, by_readout: [0.0; 2] })
+        let GroundPose { x_m, y_m, height_m, .. } = *from.pose;
+        Some(Self {
+            ground: from.of(ray)?,
+            elevation_m: from.elevation_m,
+            centre_of_projection: Vector3::new(x_m, y_m, height_m),
+            ring,
+            pixels_per_sample,
+            by_readout: [0.0; 2],
+        })
     }
 
     /// The patch around `centre` of a rolling-shutter image whose middle row was exposed at `pose`,
@@ -97,6 +107,11 @@ impl GroundPatch {
         let row_fraction = shutter.row_fraction(centre.y);
         patch.by_readout = rate(&patch.ground).map(|rate| row_fraction * rate);
         Some(patch)
+    }
+
+    /// The centre's ground point at another elevation, metres, on the same ray.
+    pub fn at_elevation(&self, to_m: f64) -> GroundPoint {
+        along_ray(&self.centre_of_projection, self.ground, self.elevation_m, to_m)
     }
 
     /// Pixel of the centre for a camera at `pose`.

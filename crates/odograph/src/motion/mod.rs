@@ -28,9 +28,7 @@ mod correlated_noise;
 
 pub use coarse::{CoarseOptions, CoarseRegistration, GroundView, Hypothesis};
 pub use correlated_noise::ResidualCorrelation;
-pub use elevation::{
-    Elevation, MAX_KERB_HEIGHT, MeasuredElevation, Roughness, SIGNIFICANT_SQUARED, along_ray,
-};
+pub use elevation::{Elevation, MAX_KERB_HEIGHT, MeasuredElevation, Roughness, SIGNIFICANT_SQUARED};
 pub use global_image::global_image;
 pub use ground_patch::{GroundFromRay, GroundPatch, PatchWarp, ViewingPose};
 pub use ground_shape::{GroundShape, ShapeEstimate, UNKNOWN_SLOPE};
@@ -142,6 +140,10 @@ pub struct Observation {
     pub row_fraction: f64,
     /// Row of the corner in the keyframe, in the same units.
     pub keyframe_row_fraction: f64,
+    /// Position of the keyframe's camera when that row was exposed, metres.
+    pub centre_of_projection: Vector3<f64>,
+    /// Elevation for which the pixel was corrected to a global shutter, metres.
+    pub corrected_at_m: f64,
 }
 
 stored!(Observation);
@@ -181,6 +183,8 @@ pub struct Correspondence {
     pub row_fraction: f64,
     /// See [`Observation::keyframe_row_fraction`].
     pub keyframe_row_fraction: f64,
+    /// See [`Observation::centre_of_projection`].
+    pub centre_of_projection: Vector3<f64>,
 }
 
 stored!(Correspondence);
@@ -204,6 +208,8 @@ pub fn whitened(correspondences: &[Correspondence], shared_px2: f64) -> Option<(
         whitening: whitening(&covariance(seen), median_px2),
         row_fraction: seen.row_fraction,
         keyframe_row_fraction: seen.keyframe_row_fraction,
+        centre_of_projection: seen.centre_of_projection,
+        corrected_at_m: seen.elevation.mean_m,
     };
     Some((correspondences.iter().map(observation).collect(), median_px2.sqrt()))
 }

@@ -82,11 +82,24 @@ impl<'a> Nuisance<'a> {
             let by_skew = row.iter().zip(&self.skew_sigma).zip(skew);
             residual.error[k] += observation.row_fraction
                 * by_skew.map(|((by, sigma), value)| by * sigma * value).sum::<f64>();
+            residual.error[k] += self.corrected_by_elevation(observation, row)
+                * (observation.elevation.mean_m - observation.corrected_at_m);
             residual.by_keyframe[k] = by_keyframe.into();
         }
         let error = nalgebra::Vector2::from(residual.error);
         residual.distance_px =
             observation.whitening.try_inverse().map_or(error, |inverse| inverse * error).norm();
+    }
+
+    /// Derivative of a residual by the elevation for which its pixel was corrected to a global
+    /// shutter: rows are exposed at other positions, and a higher point is shifted more. `row` is
+    /// the derivative by the pose.
+    fn corrected_by_elevation(&self, observation: &Observation, row: &[f64; POSE]) -> f64 {
+        let Some((prior, assumed)) = self.observations.shutter else { return 0.0 };
+        let depth_m = observation.centre_of_projection.z - observation.elevation.mean_m;
+        let off = &self.values[WITH_KEYFRAME - POSE..];
+        let shift = |i: usize| prior.readout.mean_s * assumed[i] + self.skew_sigma[i] * off[i];
+        observation.row_fraction * [0, 1, 3].map(|i| row[i] * shift(i)).iter().sum::<f64>() / depth_m
     }
 
     /// Derivative of a point by the pose of the keyframe. Elevations were measured in metres of the
@@ -105,12 +118,13 @@ impl<'a> Nuisance<'a> {
     /// Eliminates the elevation of the point (Schur complement): the residual has less weight along
     /// its parallax. Derivation: `docs/math/elevation.md`.
     pub fn eliminate_elevation(&self, observation: &Observation, residual: &mut Residual, noise_px2: f64) {
-        let Observation { ground, elevation, .. } = observation;
+        let Observation { ground, elevation, centre_of_projection: centre, .. } = observation;
         // As its elevation changes the point stays on the ray of the keyframe.
-        let keyframe_pose = self.observations.keyframe_pose;
-        let depth_m = keyframe_pose.height_m - elevation.mean_m;
-        let (x, y) = ((keyframe_pose.x_m - ground.x_m) / depth_m, (keyframe_pose.y_m - ground.y_m) / depth_m);
-        let by_elevation = residual.by_pose.map(|row| -(row[0] * x + row[1] * y + row[3]));
+        let depth_m = centre.z - elevation.mean_m;
+        let (x, y) = ((centre.x - ground.x_m) / depth_m, (centre.y - ground.y_m) / depth_m);
+        let by_elevation = residual
+            .by_pose
+            .map(|row| self.corrected_by_elevation(observation, &row) - (row[0] * x + row[1] * y + row[3]));
         residual.by_elevation = by_elevation;
         let parallax = Parallax::new(residual.error, by_elevation);
         residual.parallax = parallax;
@@ -133,11 +147,11 @@ impl<'a> Nuisance<'a> {
 
     /// An observation of ground of the estimated shape; `None` without a shape.
     pub fn shaped(&self, observation: &Observation) -> Option<Observation> {
-        let Observations { shape, keyframe_pose, .. } = self.observations;
-        let Observation { ground, mut elevation, .. } = *observation;
+        let Observations { shape, .. } = self.observations;
+        let Observation { ground, mut elevation, centre_of_projection, .. } = *observation;
         let before_m = elevation.mean_m;
         elevation.mean_m += shape?.at(ground, &self.shape());
-        let ground = along_ray(keyframe_pose, ground, before_m, elevation.mean_m);
+        let ground = along_ray(&centre_of_projection, ground, before_m, elevation.mean_m);
         Some(Observation { ground, elevation, ..*observation })
     }
 

@@ -123,7 +123,7 @@ fn from_camera(observation: &Observation, pose: &GroundPose) -> Vector3<f64> {
 /// Squared re-projection error, pixels², after the best elevation within three standard deviations.
 fn squared_distance(
     observation: &Observation,
-    Observations { keyframe_pose, shape, .. }: Observations<'_>,
+    Observations { shape, .. }: Observations<'_>,
     point: &Vector3<f64>,
     camera_from_world: &Matrix3<f64>,
     (fx, fy): (f64, f64),
@@ -135,8 +135,9 @@ fn squared_distance(
         return x * x + y * y;
     }
     // As its elevation changes the point stays on the ray of the keyframe.
-    let by_elevation = from_camera(observation, keyframe_pose) / (mean_m - keyframe_pose.height_m);
-    let by_elevation = camera_from_world * by_elevation;
+    let Observation { ground, centre_of_projection: centre, .. } = observation;
+    let ray = Vector3::new(ground.x_m, ground.y_m, mean_m) - centre;
+    let by_elevation = camera_from_world * (ray / ray.z);
     let by_x = fx * (by_elevation.x - point.x / point.z * by_elevation.z) / point.z;
     let by_y = fy * (by_elevation.y - point.y / point.z * by_elevation.z) / point.z;
     let squared = (by_x * by_x + by_y * by_y).max(1e-12);

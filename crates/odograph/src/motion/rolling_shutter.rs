@@ -59,14 +59,22 @@ impl RollingShutter {
         self.rates == PoseRates::zeros()
     }
 
-    /// The pixel at which a global shutter at `pose` would have seen the ground of a pixel. `None`
-    /// where the pixel shows no ground.
-    pub fn global_pixel(&self, camera: &Camera, pose: &GroundPose, pixel: Pixel) -> Option<Pixel> {
+    /// The pixel at which a global shutter at `pose` would have seen the ground of a pixel, at an
+    /// elevation, metres. `None` where the pixel shows no ground.
+    pub fn global_pixel(
+        &self,
+        camera: &Camera,
+        pose: &GroundPose,
+        pixel: Pixel,
+        elevation_m: f64,
+    ) -> Option<Pixel> {
         if self.is_global() {
             return Some(pixel);
         }
-        let ground = self.pose_at(pose, pixel.y).ground_from_ray(camera.ray_from_pixel(pixel)?)?;
-        camera.pixel_from_ray(pose.ray_from_ground(ground)?)
+        let above = |pose: &GroundPose| GroundPose { height_m: pose.height_m - elevation_m, ..*pose };
+        let at_row = above(&self.pose_at(pose, pixel.y));
+        let ground = at_row.ground_from_ray(camera.ray_from_pixel(pixel)?)?;
+        camera.pixel_from_ray(above(pose).ray_from_ground(ground)?)
     }
 }
 
@@ -170,11 +178,29 @@ mod tests {
         let pixel = Pixel::new(100.0, 50.0);
         let at_row = shutter.pose_at(&pose, pixel.y);
         let ground = at_row.ground_from_ray(camera.ray_from_pixel(pixel).unwrap()).unwrap();
-        let global = shutter.global_pixel(&camera, &pose, pixel).unwrap();
+        let global = shutter.global_pixel(&camera, &pose, pixel, 0.0).unwrap();
         let again = pose.ground_from_ray(camera.ray_from_pixel(global).unwrap()).unwrap();
         assert!(ground.distance(again) < 1e-9, "{}", ground.distance(again));
         assert!(global.distance(pixel) > 1.0, "{}", global.distance(pixel));
         let middle = Pixel::new(100.0, 239.5);
-        assert!(shutter.global_pixel(&camera, &pose, middle).unwrap().distance(middle) < 1e-6);
+        assert!(shutter.global_pixel(&camera, &pose, middle, 0.0).unwrap().distance(middle) < 1e-6);
+    }
+
+    #[test]
+    fn higher_ground_is_corrected_by_more() {
+        let camera = Camera::new((640, 480), (500.0, 500.0), (320.0, 240.0), Distortion::None).unwrap();
+        let (pose, elevation_m) = (GroundPose::level(0.75), 0.03);
+        let shutter = RollingShutter::new(&camera, 0.02, PoseRates::new(0.6, 0.1, 0.0, 0.0, 0.0, 0.0));
+        let ground = crate::geometry::GroundPoint::new(0.3, -0.2);
+        let seen = |pose: GroundPose| {
+            crate::motion::ViewingPose::new(pose).pixel(&camera, ground, elevation_m).unwrap()
+        };
+        // The row in which the point is seen.
+        let at_row = (0..20).fold(240.0, |row, _| seen(shutter.pose_at(&pose, row)).y);
+        let pixel = seen(shutter.pose_at(&pose, at_row));
+        let off = |elevation_m| {
+            shutter.global_pixel(&camera, &pose, pixel, elevation_m).unwrap().distance(seen(pose))
+        };
+        assert!(off(elevation_m) < 1e-6 && off(0.0) > 0.05, "{} {}", off(elevation_m), off(0.0));
     }
 }

@@ -40,6 +40,8 @@ fn observations(truth: &GroundPose, noise_px: f64, wrong: f64, seed: u64) -> Vec
                 whitening: nalgebra::Matrix2::identity(),
                 row_fraction: 0.0,
                 keyframe_row_fraction: 0.0,
+                centre_of_projection: nalgebra::Vector3::z(),
+                corrected_at_m: 0.0,
             });
         }
     }

@@ -361,6 +361,8 @@ impl Odometry {
             self.expose_on_slope();
         }
         let Ok(again) = self.measure_near(pyramid, time_s) else { return measured };
+        // Its rates were predicted by poses on a plane, and show nothing of the keyframe's.
+        self.learned.frame_shutter = None;
         if let Some(keyframe) = &mut self.keyframe {
             self.learned.saw_elevations(keyframe, &again.found, &again.estimate, &self.camera);
             if keyframe.surface.is_none() {
@@ -390,7 +392,7 @@ impl Odometry {
             self.keep_only(&found, uncertainty.covariance); // from here on what was found has other numbers
         }
         if keyframe {
-            self.change_keyframe(pyramid, time_s, &estimate, &update, &uncertainty);
+            self.spare = self.change_keyframe(pyramid, time_s, &estimate, &update, &uncertainty);
         } else {
             self.spare = Some(pyramid);
             // The mean follows its corners from frame to frame, under numbers of their own.

@@ -36,9 +36,9 @@ const MIN_CLEAR_INLIER_RATIO: f64 = 0.3;
 /// inliers where the right place had 45.
 const RIVAL: f64 = 0.55;
 
-/// Largest error of the expected heading, radians, and how fast it grows during a loss, radians per
-/// second: faster turns are rarer than floors that look alike when turned by a right angle. Beyond
-/// it, only what is clearly right is accepted.
+/// Largest likely error of the expected heading, radians, and how fast it grows during a loss,
+/// radians per second: faster turns are rarer than floors that look alike when turned by a right
+/// angle. Beyond it, only what is clearly right is accepted.
 const HEADING_ERROR_RAD: f64 = 0.4;
 const FASTEST_TURN_RAD_S: f64 = 3.0;
 

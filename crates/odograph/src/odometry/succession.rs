@@ -26,11 +26,10 @@ const UNAMBIGUOUS_PX: f64 = 2.0;
 /// needs new keyframes all the time needs all corners at once.
 const LEISURE_FRAMES: u64 = 8;
 
-/// Result of measuring a frame against an older keyframe. The image is returned if the frame
-/// becomes a keyframe itself.
+/// Result of measuring a frame against an older keyframe, with the image of the frame.
 enum Revisit {
     /// The older keyframe becomes the reference again.
-    Serves,
+    Serves(Pyramid),
     /// Too little of the older keyframe is in view, but the measurement improves the frame's pose.
     Improves(Pyramid, Box<(GroundPose, FrameUncertainty)>),
     /// No older keyframe is in view, or the measurement does not agree with the present one.
@@ -60,7 +59,7 @@ impl Odometry {
     }
 
     /// Changes the keyframe: to an older one if the camera has returned to it, otherwise to this
-    /// frame.
+    /// frame. Returns the image if it is no part of a keyframe.
     pub(super) fn change_keyframe(
         &mut self,
         pyramid: Pyramid,
@@ -68,10 +67,10 @@ impl Odometry {
         estimate: &MotionEstimate,
         update: &KeyframeUpdate,
         uncertainty: &FrameUncertainty,
-    ) {
+    ) -> Option<Pyramid> {
         self.learned.rig_prior.change_keyframe();
         let (pyramid, improved) = match self.revisit(pyramid, estimate, uncertainty) {
-            Revisit::Serves => return,
+            Revisit::Serves(pyramid) => return Some(pyramid),
             Revisit::Improves(pyramid, improved) => (pyramid, Some(improved)),
             Revisit::No(pyramid) => (pyramid, None),
         };
@@ -80,7 +79,7 @@ impl Odometry {
         let mut next =
             Keyframe::to_be_prepared(pyramid, pose, covariance, self.fixed.mask(), &self.config.detection);
         if !next.can_be_followed(2 * self.config.motion.minimum_inliers) {
-            return; // better the rest of the old one than nothing
+            return Some(next.pyramid); // better the rest of the old one than nothing
         }
         let before = self.keyframe.as_ref().and_then(|before| {
             let kind = EdgeKind::Odometry;
@@ -105,6 +104,7 @@ impl Odometry {
         if let Some(before) = self.keyframe.replace(next) {
             self.memory.remember(before.retire());
         }
+        None
     }
 
     /// Measures the frame against an older keyframe in view. If that agrees with the present one,
@@ -164,7 +164,7 @@ impl Odometry {
             if let Some(before) = self.keyframe.replace(old) {
                 self.memory.remember(before.retire());
             }
-            (found, Revisit::Serves)
+            (found, Revisit::Serves(pyramid))
         } else {
             let improved = self.improved_by_older(&old, by_old, (pose, uncertainty));
             self.memory.put_back(old);

@@ -274,6 +274,7 @@ impl DenseLevel<'_> {
             covariance_px2,
             row_fraction: 0.0,
             keyframe_row_fraction: 0.0,
+            centre_of_projection: tile.patch.centre_of_projection,
         })
     }
 }

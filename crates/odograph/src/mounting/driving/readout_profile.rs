@@ -163,6 +163,8 @@ pub struct UnknownReadout {
     frames: u64,
     is_unknown: bool,
     is_uneven: bool,
+    /// Whether it was unknown while the ground was seen to be uneven.
+    was_unknown: bool,
 }
 
 impl UnknownReadout {
@@ -175,7 +177,12 @@ impl UnknownReadout {
         self.path.add(frame, 1.0);
         let readout = odometry.readout().filter(|_| odometry.readout_matters());
         self.is_uneven |= odometry.sees_relief();
-        self.is_unknown = readout.is_some_and(|readout| readout.variance_s2 > KNOWN_READOUT_S.powi(2));
+        let is_unknown = readout.is_some_and(|readout| readout.variance_s2 > KNOWN_READOUT_S.powi(2));
+        self.was_unknown |= is_unknown && odometry.sees_relief();
+        // What rows show of a rolling shutter over uneven ground is not believed, whatever
+        // deviation they state.
+        let rolls = readout.is_some_and(|readout| readout.mean_s != 0.0);
+        self.is_unknown = is_unknown || (self.was_unknown && rolls);
         if self.path.heights > PATH_HEIGHTS { self.at_end() } else { None }
     }
 

@@ -4,8 +4,7 @@ use super::super::moving_ground::StrayCount;
 use super::projection::GroundProjection;
 use crate::camera::Camera;
 use crate::flow::{Template, Warp};
-use crate::geometry::GroundPose;
-use crate::motion::{Elevation, GroundPatch, MeasuredElevation, SIGNIFICANT_SQUARED, ViewingPose, along_ray};
+use crate::motion::{Elevation, GroundPatch, MeasuredElevation, SIGNIFICANT_SQUARED, ViewingPose};
 use nalgebra::Vector2;
 
 /// A corner of a keyframe.
@@ -176,12 +175,11 @@ impl KeyCorner {
 
     /// How far from its patch a camera at `pose` is expected to see it for its measured elevation,
     /// pixels.
-    pub fn parallax_px(&self, camera: &Camera, keyframe: &GroundPose, pose: &ViewingPose) -> Vector2<f64> {
+    pub fn parallax_px(&self, camera: &Camera, pose: &ViewingPose) -> Vector2<f64> {
         let Some(MeasuredElevation { elevation: measured, .. }) = self.measured else {
             return Vector2::zeros();
         };
-        let GroundPatch { ground, elevation_m, .. } = self.patch;
-        let raised = along_ray(keyframe, ground, elevation_m, measured.mean_m);
+        let raised = self.patch.at_elevation(measured.mean_m);
         let (from, to) = (self.patch.pixel(camera, pose), pose.pixel(camera, raised, measured.mean_m));
         from.zip(to).map_or(Vector2::zeros(), |(from, to)| Vector2::new(to.x - from.x, to.y - from.y))
     }

@@ -9,7 +9,7 @@ use crate::camera::Camera;
 use crate::geometry::{GroundPoint, GroundPose};
 use crate::motion::{
     Elevation, GroundPatch, GroundShape, MAX_KERB_HEIGHT, MeasuredElevation, MotionEstimate, Roughness,
-    ShapeEstimate, ViewingPose, along_ray,
+    ShapeEstimate, ViewingPose,
 };
 
 /// Ground within this part of the height is below the camera.
@@ -170,11 +170,10 @@ impl Keyframe {
             return None;
         }
         let point = |corner: &KeyCorner| {
-            let GroundPatch { ground, elevation_m, .. } = corner.patch;
-            let unknown = Elevation { mean_m: elevation_m, variance_m2: relief_m2 };
+            let unknown = Elevation { mean_m: corner.patch.elevation_m, variance_m2: relief_m2 };
             let measured = corner.measured.map(|measured| measured.elevation);
             let elevation = measured.or(corner.elevation).unwrap_or(unknown);
-            (along_ray(&self.pose, ground, elevation_m, elevation.mean_m), elevation)
+            (corner.patch.at_elevation(elevation.mean_m), elevation)
         };
         let level_m = self.surface.as_ref().map_or(self.level_m, Surface::level_m);
         Surface::new(self.corners.iter().map(point).collect(), relief_m2, level_m, self.shape)

@@ -51,3 +51,23 @@ fn rows_of_the_image_before_do_not_stop_the_camera() {
     }
     assert!(keyframes >= 3, "{keyframes} keyframes");
 }
+
+#[test]
+fn copies_are_recognised_after_a_return_to_an_older_keyframe() {
+    let world = World::new("asphalt");
+    let mut odometry = world.odometry();
+    let (mut before, mut copies): (Option<GrayImage>, _) = (None, 0);
+    for frame in 0..100 {
+        let x_m = 0.02 * if frame < 50 { frame } else { 100 - frame } as f64;
+        let is_copy = frame % 2 == 1 && frame > 8;
+        let rendered = || world.image(at(x_m, 0.0, 0.0), frame);
+        let image = before.take().filter(|_| is_copy).unwrap_or_else(rendered);
+        before = Some(image.clone());
+        let found = odometry.process(image, frame as f64 * FRAME_S).unwrap();
+        if is_copy {
+            assert_eq!(found.tracks, 0, "frame {frame}");
+            copies += 1;
+        }
+    }
+    assert!(copies > 40 && odometry.keyframes() < 8, "{copies} copies, {} keyframes", odometry.keyframes());
+}

@@ -27,14 +27,25 @@ pub(super) fn observations(
             ground.x_m += later_s * x_by_readout;
             ground.y_m += later_s * y_by_readout;
             row_fraction = shutter.row_fraction(pixel.y);
-            pixel = shutter.global_pixel(camera, pose, pixel).unwrap_or(pixel);
         }
         let covariance_px2 = found.covariance_px2;
         let keyframe_row_fraction = keyframe.shutter.row_fraction(corner.template.centre().y);
         let variance_m2 = if corner.is_on_new_ground { relief_m2 + new_ground_m2 } else { relief_m2 };
         let unknown = Elevation { mean_m: corner.patch.elevation_m, variance_m2 };
         let elevation = corner.elevation.unwrap_or(unknown);
-        Correspondence { ground, elevation, pixel, covariance_px2, row_fraction, keyframe_row_fraction }
+        if let Some((_, shutter)) = shutter {
+            pixel = shutter.global_pixel(camera, pose, pixel, elevation.mean_m).unwrap_or(pixel);
+        }
+        let centre_of_projection = corner.patch.centre_of_projection;
+        Correspondence {
+            ground,
+            elevation,
+            pixel,
+            covariance_px2,
+            row_fraction,
+            keyframe_row_fraction,
+            centre_of_projection,
+        }
     };
     let correspondences: Buffer<Correspondence> = found.iter().map(correspondence).collect();
     whitened(&correspondences, SHARED_PX2).unwrap_or_else(|| (Buffer::new(), 0.0))

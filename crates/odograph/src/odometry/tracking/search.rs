@@ -140,7 +140,7 @@ fn find(
     config: &OdometryConfig,
 ) -> Option<FoundCorner> {
     let PatchWarp { warp, curvature, .. } = corner.patch.warp(camera, pose)?;
-    let parallax = corner.parallax_px(camera, &keyframe.pose, pose);
+    let parallax = corner.parallax_px(camera, pose);
     let warp =
         Warp { position: Pixel::new(warp.position.x + parallax.x, warp.position.y + parallax.y), ..warp };
     if keyframe.is_masked(warp.position) {
