@@ -12,12 +12,15 @@ use odograph_video::{Frame, Picture, SourceInfo};
 use std::fmt;
 use std::io::{self, BufRead, BufReader, Read, Write};
 use std::net::{TcpStream, ToSocketAddrs};
+use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
 use std::time::{Duration, Instant};
 
 /// Time limit for the camera's response, and for each read of an image.
 const PATIENCE: Duration = Duration::from_secs(5);
 /// Time limit for the whole header section of the response, however it is spread.
 const HEAD_PATIENCE: Duration = Duration::from_secs(10);
+/// Time limit for each image, from the end of the one before.
+const PICTURE_PATIENCE: Duration = Duration::from_secs(20);
 /// Maximum length of the camera's own words in a message, characters.
 const MAX_QUOTED: usize = 200;
 /// Maximum length of the response's header section, bytes.
@@ -28,7 +31,7 @@ pub struct HttpMjpeg {
     url: HttpUrl,
     place: String,
     info: SourceInfo,
-    connection: Option<Multipart<Box<dyn BufRead + Send>>>,
+    connection: Option<Connection>,
     first: Option<Arrived>,
     began: Instant,
     number: u64,
@@ -56,7 +59,7 @@ struct FrameClock {
     last: Option<(f64, Option<f64>)>,
     /// What is added to the camera's time stamps, seconds.
     shift_s: Option<f64>,
-    /// Whether the camera's stamps turned out to be none of each frame.
+    /// Whether two frames had the same stamp, so that stamps are not times of single frames.
     distrusted: bool,
 }
 
@@ -130,7 +133,7 @@ impl HttpMjpeg {
             info: SourceInfo { width, height, frame_count: None, description },
             url,
             place,
-            first: Some(Arrived { picture, at: Instant::now(), stamp_s: connection.timestamp_s() }),
+            first: Some(Arrived { picture, at: Instant::now(), stamp_s: connection.parts.timestamp_s() }),
             connection: Some(connection),
             began: Instant::now(),
             number: 0,
@@ -160,7 +163,7 @@ impl HttpMjpeg {
                 },
                 Some(connection) => match connection.next(&mut self.part) {
                     Ok(true) => {
-                        let (at, stamp_s) = (Instant::now(), connection.timestamp_s());
+                        let (at, stamp_s) = (Instant::now(), connection.parts.timestamp_s());
                         match Picture::from_jpeg(&self.part, true) {
                             Ok(picture) => {
                                 self.watch.back();
@@ -266,28 +269,58 @@ impl fmt::Display for NoStream {
     }
 }
 
-/// A connection of which every byte must arrive within [`PATIENCE`], and all of them until a point
-/// in time.
+/// When what is being read must have arrived.
+#[derive(Debug, Clone)]
+struct Deadline(Arc<Mutex<Instant>>);
+
+impl Deadline {
+    fn within(patience: Duration) -> Self {
+        Self(Arc::new(Mutex::new(Instant::now() + patience)))
+    }
+
+    fn instant(&self) -> MutexGuard<'_, Instant> {
+        self.0.lock().unwrap_or_else(PoisonError::into_inner)
+    }
+
+    fn extend(&self, patience: Duration) {
+        *self.instant() = Instant::now() + patience;
+    }
+}
+
+/// A connection of which every byte must arrive within [`PATIENCE`] of the one before, and before a
+/// deadline: otherwise a server that sends a byte now and then would be read without end.
 struct Timely {
     stream: TcpStream,
-    until: Option<Instant>,
+    deadline: Deadline,
 }
 
 impl Read for Timely {
     fn read(&mut self, buffer: &mut [u8]) -> io::Result<usize> {
-        if let Some(until) = self.until {
-            let left = until.saturating_duration_since(Instant::now());
-            if left.is_zero() {
-                return Err(io::ErrorKind::TimedOut.into());
-            }
-            self.stream.set_read_timeout(Some(left.min(PATIENCE)))?;
+        let left = self.deadline.instant().saturating_duration_since(Instant::now());
+        if left.is_zero() {
+            return Err(io::Error::other("it sends too slowly"));
         }
+        self.stream.set_read_timeout(Some(left.min(PATIENCE)))?;
         self.stream.read(buffer)
     }
 }
 
+/// The images of a connection.
+struct Connection {
+    parts: Multipart<Box<dyn BufRead + Send>>,
+    deadline: Deadline,
+}
+
+impl Connection {
+    /// Reads the next image into `part`; `false` at the end.
+    fn next(&mut self, part: &mut Vec<u8>) -> io::Result<bool> {
+        self.deadline.extend(PICTURE_PATIENCE);
+        self.parts.next(part)
+    }
+}
+
 /// Connects, sends the request, and reads the response's header section.
-fn connect(url: &HttpUrl) -> std::result::Result<Multipart<Box<dyn BufRead + Send>>, NoStream> {
+fn connect(url: &HttpUrl) -> std::result::Result<Connection, NoStream> {
     let stream = connection(url)?;
     let authorization = match &url.credentials {
         Some(credentials) => format!("Authorization: Basic {}\r\n", BASE64.encode(credentials)),
@@ -298,13 +331,11 @@ fn connect(url: &HttpUrl) -> std::result::Result<Multipart<Box<dyn BufRead + Sen
         url.path,
         url.host_header()
     );
-    let broken = |error: io::Error| NoStream::broken(&error);
-    (&stream).write_all(request.as_bytes()).map_err(broken)?;
-    let stream = Timely { stream, until: Some(Instant::now() + HEAD_PATIENCE) };
+    (&stream).write_all(request.as_bytes()).map_err(|error| NoStream::broken(&error))?;
+    let deadline = Deadline::within(HEAD_PATIENCE);
+    let stream = Timely { stream, deadline: deadline.clone() };
     let mut reader = BufReader::with_capacity(64 << 10, stream);
     let head = answer_head(&mut reader)?;
-    reader.get_mut().until = None;
-    reader.get_ref().stream.set_read_timeout(Some(PATIENCE)).map_err(broken)?;
     let boundary = boundary(&head.content_type).ok_or_else(|| {
         let found = match quoted(&head.content_type) {
             found if found.is_empty() => "something unnamed".to_owned(),
@@ -319,7 +350,7 @@ fn connect(url: &HttpUrl) -> std::result::Result<Multipart<Box<dyn BufRead + Sen
     } else {
         Box::new(reader)
     };
-    Ok(Multipart::new(body, &boundary))
+    Ok(Connection { parts: Multipart::new(body, &boundary), deadline })
 }
 
 /// A connection to the first address of the host that answers.

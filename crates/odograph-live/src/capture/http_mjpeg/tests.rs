@@ -112,11 +112,19 @@ fn a_connection_has_a_time_limit_as_a_whole() {
     let stream = TcpStream::connect(listener.local_addr().unwrap()).unwrap();
     let (mut camera, _) = listener.accept().unwrap();
     camera.write_all(b"HT").unwrap();
-    let mut timely = Timely { stream, until: Some(Instant::now() + PATIENCE) };
+    let deadline = Deadline::within(PATIENCE);
+    let mut timely = Timely { stream, deadline: deadline.clone() };
     let mut byte = [0];
     assert_eq!(timely.read(&mut byte).unwrap(), 1);
-    timely.until = Some(Instant::now());
-    assert_eq!(timely.read(&mut byte).unwrap_err().kind(), io::ErrorKind::TimedOut);
+    // Another byte would be there, but too late.
+    deadline.extend(Duration::ZERO);
+    assert!(timely.read(&mut byte).unwrap_err().to_string().contains("too slowly"));
+    // Each image has its own time.
+    let parts: Box<dyn BufRead + Send> = Box::new(BufReader::new(timely));
+    let mut connection = Connection { parts: Multipart::new(parts, "b"), deadline: deadline.clone() };
+    drop(camera);
+    assert!(!connection.next(&mut Vec::new()).unwrap());
+    assert!(*deadline.instant() > Instant::now());
 }
 
 /// A part with the time at which the camera took its image.
