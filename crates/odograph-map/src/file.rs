@@ -30,7 +30,7 @@ pub struct Session {
     pub id: u32,
     /// Source of the run: a file, folder or stream.
     pub source: String,
-    /// Who made it, where the robot has a name.
+    /// The robot that recorded it, if it has a name.
     pub origin: Option<SessionOrigin>,
 }
 

@@ -221,9 +221,9 @@ pub(super) fn support(query: &Features, keyframe: &Features, start: Placing) -> 
     })
 }
 
-/// Standard deviation of the logarithm of a fitted scale, of which `squares` is the sum of the
-/// squared distances of the matches, spots². Of their `2 n` coordinates the fit uses four; a relative
-/// error of the scale moves each feature in proportion to its distance from their mean.
+/// Standard deviation of the logarithm of a fitted scale. `squares` is the sum of the squared
+/// distances of the matches, spots². The fit has four parameters for their `2 n` coordinates; a
+/// relative error of the scale moves each feature in proportion to its distance from their mean.
 fn ln_scale_deviation(query: &Features, matches: &[FeatureMatch], scale: f32, squares: f32) -> f32 {
     if matches.len() < Placing::ENOUGH_FOR_SCALE {
         return f32::INFINITY;
