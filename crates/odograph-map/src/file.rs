@@ -30,7 +30,7 @@ pub struct Session {
     pub id: u32,
     /// Source of the run: a file, folder or stream.
     pub source: String,
-    /// Who made it, where the robot has a name.
+    /// The robot that recorded it, if it has a name.
     pub origin: Option<SessionOrigin>,
 }
 
@@ -346,7 +346,7 @@ impl MapFile {
     }
 
     /// Checks the whole file for damage (`PRAGMA integrity_check`; slow on a large map), then reads
-    /// the map and every image.
+    /// the map, every image and every tile of the mosaic.
     pub fn check(&mut self) -> Result<()> {
         let found: String = self
             .connection
@@ -357,6 +357,12 @@ impl MapFile {
         }
         for keyframe in self.map()?.keyframes {
             self.load(keyframe.id)?;
+        }
+        let levels = self.mosaic()?.map_or(0..0, |layer| 0..layer.finest + 1);
+        for level in levels {
+            for (column, row) in self.mosaic_tiles(level)? {
+                self.mosaic_tile(level, column, row)?;
+            }
         }
         self.markers().map(drop)
     }

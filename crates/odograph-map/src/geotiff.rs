@@ -55,8 +55,12 @@ impl MapFile {
         let fits = |level: &u32| tiles_at(*level).iter().map(count).product::<u64>() <= MAX_TILES;
         let level = (0..=layer.finest).rev().find(fits).unwrap_or(0);
         let [columns, rows] = tiles_at(level);
-        let pixel_m = layer.resolution_m * (1_u64 << (layer.finest - level)) as f64;
-        let (width, height) = (count(&columns) * side, count(&rows) * side);
+        let finer = 1_u64 << (layer.finest - level);
+        let pixel_m = layer.resolution_m * finer as f64;
+        // The picture begins with a tile, whose first columns and rows may show no ground; it ends
+        // where the ground does, within its last tiles.
+        let last = |range: &Range<u64>, tiles: &Range<u64>| range.end.div_ceil(finer) - tiles.start * side;
+        let (width, height) = (last(&layer.columns, &columns), last(&layer.rows, &rows));
         let left_m = layer.left_m + (columns.start * side) as f64 * pixel_m;
         let top_m = layer.top_m - (rows.start * side) as f64 * pixel_m;
         let broken = |error: TiffError| Error::output(format!("the picture cannot be written: {error}"));

@@ -19,7 +19,7 @@ const KEYFRAMES: &str =
 /// Longest name of a robot, bytes: it is shown on pages and is part of addresses.
 const LONGEST_NAME: usize = 64;
 
-/// Who made a session: the same in every map that has it.
+/// The robot of a session, and its key there: the same in every map with that session.
 #[derive(Debug, Clone, PartialEq, Eq, PartialOrd, Ord, Hash)]
 pub struct SessionOrigin {
     /// Name of the robot.

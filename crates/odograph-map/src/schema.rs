@@ -215,12 +215,14 @@ pub(crate) fn check(connection: &Connection, path: &Path) -> Result<()> {
         .optional()
         .while_reading(&complaint)?;
     let Some(_) = ours.filter(|sql| !sql.to_ascii_uppercase().starts_with("CREATE VIRTUAL")) else {
-        return Err(complaint.input("this database is not a map of odograph (it has no table odograph_map)"));
+        return Err(complaint.input("this database is not a map of odograph (it has no table odograph_map); give the map.gpkg that odograph run has \
+             written"));
     };
     check_version(connection, path)?;
     if number("application_id").while_reading(&complaint)? != APPLICATION_ID {
         return Err(
-            complaint.input("the map is not marked as a GeoPackage; it has been changed by another program")
+            complaint.input("the map is not marked as a GeoPackage; it has been changed by another program: copy it again from where it \
+                 came")
         );
     }
     for (table, sql) in MAP_TABLES {
@@ -232,7 +234,8 @@ pub(crate) fn check(connection: &Connection, path: &Path) -> Result<()> {
             .while_reading(&complaint)?;
         if found.as_deref() != Some(sql) {
             return Err(complaint.input(format!(
-                "the map's table {table} is {}; it has been changed by another program",
+                "the map's table {table} is {}; it is damaged or has been changed by another program: copy it again from where \
+                 it came, or save the rest with odograph map repair",
                 if found.is_none() { "missing" } else { "not as odograph makes it" }
             )));
         }

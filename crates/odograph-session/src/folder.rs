@@ -17,10 +17,13 @@ use std::fs::{self, File};
 use std::io::{Seek, Write};
 use std::path::{Path, PathBuf};
 
+/// The map of a run in its folder.
+pub const MAP_FILE: &str = "map.gpkg";
+
 /// Every file that a run writes.
 pub const RUN_FILES: [&str; 19] = [
     "odometry.tum",
-    "map.gpkg",
+    MAP_FILE,
     "trajectory.tum",
     "trajectory.csv",
     "trajectory-smoothed.tum",
@@ -97,7 +100,7 @@ impl OutputFolder {
     pub fn new(path: &Path, output: &RunOutput) -> Result<Self> {
         let force = output.force;
         files::check_output_folder(path)?;
-        let own_map = path.join("map.gpkg");
+        let own_map = path.join(MAP_FILE);
         let origin = output.origin()?;
         check_free(path, force)?;
         let missing = |folder: &&Path| !folder.as_os_str().is_empty() && !folder.exists();
@@ -328,7 +331,7 @@ pub(crate) fn check_free(folder: &Path, force: bool) -> Result<()> {
     if force {
         return Ok(());
     }
-    let own_map = folder.join("map.gpkg");
+    let own_map = folder.join(MAP_FILE);
     let is_there = |file: &PathBuf| if *file == own_map { MapFile::is_there(file) } else { file.exists() };
     let growing = files::beside(&folder.join("trajectory.csv"));
     let has_frames = fs::metadata(&growing).is_ok_and(|file| file.len() > 0);

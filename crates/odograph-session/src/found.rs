@@ -3,6 +3,7 @@
 use crate::plan::RunPlan;
 use odograph::camera::{Camera, Rig};
 use odograph::fixed_pattern::NonuniformityCorrection;
+use odograph::formats::decimal::Rounded;
 use odograph::image::GrayImage;
 use odograph::motion::MotionModel;
 use odograph::mounting::{CalibrationUpdate, KNOWN_READOUT_S, LensMeasurement, TiltMeasurement};
@@ -108,11 +109,11 @@ impl FoundMount {
         )
     }
 
-    /// The nominal mount. Who gives a height alone has not given a tilt.
+    /// The nominal mount; a rig with a height alone looks straight down.
     fn given(&self) -> String {
         match (self.given_roll_deg, self.given_pitch_deg) {
             (0.0, 0.0) => "looking straight down".to_owned(),
-            (roll, pitch) => format!("at {roll:+.2}° and {pitch:+.2}° as given"),
+            (roll, pitch) => format!("at {} and {} as given", angle(roll), angle(pitch)),
         }
     }
 }
@@ -169,7 +170,7 @@ impl FoundLens {
             let all = self.coefficients.iter().map(|known| match known.name {
                 // Pixels.
                 "cx" | "cy" | "fy" => format!("{} {:.2}", known.name, value(known)),
-                name => format!("{name} {:+.5}", value(known)),
+                name => format!("{name} {:+.5}", Rounded(value(known))),
             });
             all.collect::<Vec<_>>().join(", ")
         };
@@ -253,8 +254,7 @@ impl FoundReadout {
 
 /// An angle with its sign; one that rounds to zero has none of its own.
 fn angle(degrees: f64) -> String {
-    // Adding zero makes a negative zero positive.
-    format!("{:+.2}°", (100.0 * degrees).round() / 100.0 + 0.0)
+    format!("{:+.2}°", Rounded(degrees))
 }
 
 #[cfg(test)]

@@ -27,11 +27,11 @@ pub struct Resemblance {
 pub enum ResemblanceVerdict {
     /// No place of the map looks more like it than foreign ground does by chance.
     NeverSeen,
-    /// Cannot tell: it shows too few features to be recognised anywhere.
+    /// Unknown: it shows too few features to be recognised anywhere.
     TooFewFeatures,
-    /// Cannot tell: what it shows repeats itself, such as equal tiles.
+    /// Unknown: what it shows repeats itself, such as equal tiles.
     Repeats,
-    /// Cannot tell: one or more places look like it, and none is certain.
+    /// Unknown: one or more places look like it, but no place is certain.
     Ambiguous,
 }
 
@@ -46,7 +46,7 @@ impl ResemblanceVerdict {
         }
     }
 
-    /// Why nothing was found, for people: of a source with so many places that look alike.
+    /// Why nothing was found, for people. `alike` is the number of similar places.
     pub fn sentence(self, source: &str, map: &Path, alike: usize) -> String {
         let map = map.display();
         match self {

@@ -5,6 +5,7 @@ use crate::files;
 use crate::observer::Observer;
 use odograph::camera::{Camera, LeverArm, Rig};
 use odograph::error::{Error, Result};
+use odograph::formats::decimal::Rounded;
 use odograph::formats::{camera_file, rig_file};
 use odograph_video::RecordedMount;
 use std::fmt::Display;
@@ -131,19 +132,15 @@ pub fn rig_of_mount(
     };
     let from = if height_m.is_some() { "" } else { " over base_footprint" };
     let arm = rig.lever_arm.map_or_else(String::new, |LeverArm { x_m, y_m, z_m }| {
+        let [x_m, y_m, z_m] = [x_m, y_m, z_m].map(Rounded);
         format!("x {x_m:.3} m, y {y_m:.3} m, z {z_m:.3} m, ")
     });
     observer.note(&format!(
         "{frame} in base_link, from /tf_static: {arm}roll {:.1}°, pitch {:.1}°, yaw {:.1}°; height {used_m:.3} m{from} \
          (--rig overrides)",
-        tenths_deg(rig.roll_rad),
-        tenths_deg(rig.pitch_rad),
-        tenths_deg(rig.yaw_rad),
+        Rounded(rig.roll_rad.to_degrees()),
+        Rounded(rig.pitch_rad.to_degrees()),
+        Rounded(rig.yaw_rad.to_degrees()),
     ));
     Some(rig)
-}
-
-/// An angle in degrees, rounded to tenths; no negative zero.
-fn tenths_deg(angle_rad: f64) -> f64 {
-    (10.0 * angle_rad.to_degrees()).round() / 10.0 + 0.0
 }

@@ -3,6 +3,7 @@
 use crate::kept_frames::KeptFrames;
 use odograph::camera::Rig;
 use odograph::error::Result;
+use odograph::formats::decimal::Rounded;
 use odograph::motion::MotionModel;
 
 /// Minimum number of posed frames in the second half of a recording: two seconds at 30 frames a
@@ -50,7 +51,7 @@ fn steady(later: &[[f64; 2]]) -> Option<String> {
             / count;
     let size = mean[0].hypot(mean[1]);
     (size > WORTH_TELLING_RAD && variance.sqrt() < STEADY * size).then(|| {
-        let [roll, pitch] = mean.map(f64::to_degrees);
+        let [roll, pitch] = mean.map(|tilt_rad| Rounded(tilt_rad.to_degrees()));
         format!(
             "the camera seems to sit otherwise than was nominal, by {roll:+.1}° of roll and {pitch:+.1}° of pitch: until that was learned the path was bent and \
              stretched; odograph ground measures its mount, and --rig gives it"

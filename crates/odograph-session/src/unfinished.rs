@@ -21,7 +21,7 @@ pub struct UnfinishedRun {
 }
 
 impl UnfinishedRun {
-    /// The unfinished run in a folder; `None` where its run is complete, or there is none.
+    /// The unfinished run in a folder; `None` if the run is complete, or the folder has no run.
     pub fn in_folder(folder: &Path) -> Option<Self> {
         let growing = files::beside(&folder.join("trajectory.csv"));
         let has_begun = begun_file(folder).is_file();

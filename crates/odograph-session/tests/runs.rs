@@ -7,6 +7,7 @@ mod clip;
 use odograph::error::{ErrorKind, Result};
 use odograph::formats::trajectory_file::parse_tum;
 use odograph::trajectory::{FrameEstimate, FrameSummary};
+use odograph_map::MapFile;
 use odograph_session::{MapUse, Observer, ReportInput, RunBuilder, RunEnd, RunReporter, SourcePlan};
 use std::error::Error;
 use std::fs;
@@ -188,6 +189,25 @@ fn a_wrong_height_in_a_map_is_warned_of() {
     }
     let continued = clip::run(120).rig_file(rig(0.93)).map(MapUse::Continue(map));
     assert!(warning(continued).is_some());
+}
+
+#[test]
+fn one_recognised_place_is_enough_for_the_warning() {
+    let folder = tempfile::tempdir().unwrap();
+    // The map has a single keyframe.
+    clip::run(4).folder(folder.path()).run(&()).unwrap();
+    let map = folder.path().join("map.gpkg");
+    let keyframes = MapFile::open_read_only(&map).unwrap().map().unwrap().keyframes.len();
+    assert_eq!(keyframes, 1);
+    for (height_m, is_warned) in [(0.9, false), (0.905, false), (0.95, true), (0.86, true)] {
+        let rig = folder.path().join("rig.toml");
+        fs::write(&rig, format!("height_m = {height_m}\nroll_deg = 1.5\npitch_deg = -3\n")).unwrap();
+        let outcome = RunBuilder::localizing(clip::source(1), &map).rig_file(rig).run(&()).unwrap();
+        assert!(outcome.place.is_some());
+        let found = outcome.warnings.iter().find(|warning| warning.contains("check height and focal length"));
+        assert_eq!(found.is_some(), is_warned, "{height_m}: {found:?}");
+        assert!(found.is_none_or(|found| found.contains("the camera was 0.90")), "{height_m}: {found:?}");
+    }
 }
 
 #[test]

@@ -23,7 +23,7 @@ pub struct Published {
     sessions: Vec<PublishedSession>,
     /// Ends of the loops between sessions: x and y of both, metres.
     loops: Vec<[f64; 4]>,
-    /// When a robot was heard of, and whether it said that it is lost.
+    /// When a robot last reported, and whether it reported that it is lost.
     heard: BTreeMap<SessionOrigin, (Instant, bool)>,
     /// Number of renderings of the mosaic.
     pub mosaic: u64,
@@ -97,7 +97,7 @@ impl Published {
         Ok(())
     }
 
-    /// Notes that a robot was heard of.
+    /// Records that a robot has reported.
     pub fn heard(&mut self, origin: &SessionOrigin, lost: bool) {
         self.heard.insert(origin.clone(), (Instant::now(), lost));
     }

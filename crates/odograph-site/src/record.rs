@@ -22,7 +22,7 @@ const FARTHEST: f64 = 1e12;
 pub struct Record {
     /// Everything but the image.
     pub head: RecordHead,
-    /// The image of a keyframe; of the end of a session there is none.
+    /// The image of a keyframe; `None` for the end of a session.
     pub image: Option<StoredImage>,
 }
 
@@ -134,7 +134,7 @@ impl Record {
         Ok(records)
     }
 
-    /// Reads a record. Fails, with what is wrong, if it is none.
+    /// Reads a record. Fails with the reason if it is not a valid record.
     pub fn from_bytes(bytes: &[u8]) -> Result<Self> {
         let (head, rest) = part(bytes, MAX_HEAD)?;
         let (image, rest) = part(rest, MAX_IMAGE)?;

@@ -96,7 +96,10 @@ fn open_with(program: Option<PathBuf>, path: &Path, content: Content<'_>, color:
         let why = why.strip_prefix(&format!("file:{}: ", path.display())).unwrap_or(why);
         let why: String = why.chars().take(MAX_QUOTED).collect();
         Error::input(match content {
-            Content::Stream => format!("the stream cannot be read through ffmpeg: {why}"),
+            Content::Stream => format!(
+                "the stream cannot be read through ffmpeg: {why}; check the address, and that the camera is on and in \
+                 this network"
+            ),
             Content::Video { codec, container, .. } => {
                 format!("{codec} in {container} cannot be decoded, not even with ffmpeg: {why}")
             }

@@ -27,7 +27,7 @@ fn inspect_frames(path: &Path) -> Result<Contents> {
     let Opened { mut frames, description, times_known, frames_per_second, .. } =
         open_kind(path, &SourceOptions::default())?;
     let Some(first_s) = frames.advance()? else {
-        return Err(pipe::interrupted_or(Error::input("there is no frame in it")));
+        return Err(pipe::interrupted_or(Error::input("there is no frame in it; record or copy it again")));
     };
     let size = frames.picture()?.map(|picture| (picture.gray.width(), picture.gray.height()));
     let mut times_s = frames.times()?;

@@ -19,7 +19,10 @@ pub(crate) const MAX_SAMPLES: usize = 10_000_000;
 /// Returns the number of pixels of a frame. Fails if the frame is empty or exceeds a limit.
 pub(crate) fn check_size(width: usize, height: usize) -> Result<usize> {
     if width == 0 || height == 0 {
-        return Err(Error::input(format!("a frame of {width}x{height} pixels is empty")));
+        return Err(Error::input(format!(
+            "a frame of {width}x{height} pixels is empty: the size is missing, or the file is damaged; record or \
+             copy it again"
+        )));
     }
     match width.checked_mul(height) {
         Some(pixels) if width <= MAX_SIDE && height <= MAX_SIDE && pixels <= MAX_PIXELS => Ok(pixels),

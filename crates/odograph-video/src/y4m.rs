@@ -71,13 +71,15 @@ pub(crate) fn open<R: BufRead + Send + 'static>(
     byte_length: Option<u64>,
     keep_color: bool,
 ) -> Result<Opened> {
-    let header = line(&mut reader)?;
+    let no_stream = |why: &str| {
+        Error::input(format!(
+            "this is not a Y4M stream ({why}); give the name of the file, or a pipe from ffmpeg -i FILE -f yuv4mpegpipe -"
+        ))
+    };
+    let header = line(&mut reader)?.ok_or_else(|| no_stream("its first line does not end"))?;
     let mut tags = header.split(' ');
     if tags.next() != Some("YUV4MPEG2") {
-        return Err(Error::input(
-            "this is not a Y4M stream (it does not start with YUV4MPEG2); give the name of the file, or a pipe from \
-             ffmpeg -i FILE -f yuv4mpegpipe -",
-        ));
+        return Err(no_stream("it does not start with YUV4MPEG2"));
     }
     let (mut width, mut height, mut rate, mut full_range) = (0, 0, None, false);
     let mut tag_of_layout = "420jpeg";
@@ -132,17 +134,17 @@ pub(crate) fn open<R: BufRead + Send + 'static>(
     })
 }
 
-/// Reads one line, without its line feed.
-fn line(reader: &mut impl BufRead) -> Result<String> {
+/// Reads one line, without its line feed; `None` if it does not end.
+fn line(reader: &mut impl BufRead) -> Result<Option<String>> {
     let mut bytes = Vec::new();
     reader
         .take(MAX_LINE)
         .read_until(b'\n', &mut bytes)
         .map_err(|error| Error::input(format!("cannot be read: {error}")))?;
     if bytes.pop_if(|b| *b == b'\n').is_none() && bytes.len() as u64 == MAX_LINE {
-        return Err(Error::input("this is not a Y4M stream (a header line does not end)"));
+        return Ok(None);
     }
-    Ok(String::from_utf8_lossy(&bytes).into_owned())
+    Ok(Some(String::from_utf8_lossy(&bytes).into_owned()))
 }
 
 impl<R: BufRead> Y4m<R> {
@@ -197,10 +199,10 @@ impl<R: BufRead + Send> Frames for Y4m<R> {
         }
         self.ended = true;
         let head = line(&mut self.reader)?;
-        if head.is_empty() {
+        if head.as_ref().is_some_and(String::is_empty) {
             return Ok(None);
         }
-        if head.split(' ').next() != Some("FRAME") {
+        if head.is_none_or(|head| head.split(' ').next() != Some("FRAME")) {
             self.warn(format!("what follows frame {} is not Y4M and was ignored", self.number));
             return Ok(None);
         }
@@ -280,6 +282,16 @@ mod tests {
         let (pictures, warnings) = frames(b"YUV4MPEG2 W2 H1 Cmono\nFRAME\nabFRAME\nc", false);
         assert_eq!(pictures.len(), 1);
         assert_eq!(warnings, ["the stream is cut off inside frame 1"]);
+    }
+
+    #[test]
+    fn what_follows_the_last_frame_is_ignored_with_a_warning() {
+        for rest in [b"FRAMX\nab".to_vec(), vec![0x80; 10_000]] {
+            let bytes = [b"YUV4MPEG2 W2 H1 Cmono\nFRAME\nab".to_vec(), rest].concat();
+            let (pictures, warnings) = frames(&bytes, false);
+            assert_eq!(pictures.len(), 1);
+            assert_eq!(warnings, ["what follows frame 1 is not Y4M and was ignored"]);
+        }
     }
 
     #[test]

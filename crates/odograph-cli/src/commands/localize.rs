@@ -6,6 +6,7 @@ use super::run::{
 };
 use crate::{Outcome, console};
 use odograph::error::{Error, Result};
+use odograph::formats::decimal::Rounded;
 use odograph_map::MapFile;
 use odograph_report::HtmlReporter;
 use odograph_session::{
@@ -176,7 +177,7 @@ struct LocalizationJson<'a> {
     place: Option<PoseInMap>,
     /// The source of the nearest keyframe's session.
     session_source: Option<String>,
-    /// The possible places if none is certain; the most probable first.
+    /// The possible places if no place is certain; the most probable first.
     alike: &'a [AlikePlace],
     statistics: &'a RunStatistics,
 }
@@ -238,22 +239,13 @@ fn alike_line(place: &AlikePlace) -> String {
         other => format!("{other:3.0}"),
     };
     format!(
-        "perhaps {percent} %: x {} m, y {} m, heading {}°; keyframe {} of session {}\n",
-        rounded(place.x_m, 3),
-        rounded(place.y_m, 3),
-        rounded(place.heading_deg, 1),
+        "perhaps {percent} %: x {:.3} m, y {:.3} m, heading {:.1}°; keyframe {} of session {}\n",
+        Rounded(place.x_m),
+        Rounded(place.y_m),
+        Rounded(place.heading_deg),
         place.keyframe,
         place.session,
     )
-}
-
-/// A number with this many decimals, without the sign of a rounded zero.
-fn rounded(number: f64, decimals: usize) -> String {
-    let text = format!("{number:.decimals$}");
-    match text.strip_prefix('-') {
-        Some(zero) if zero.bytes().all(|byte| matches!(byte, b'0' | b'.')) => zero.to_owned(),
-        _ => text,
-    }
 }
 
 /// A standard deviation with this many decimals, or as many as show that it is not zero.
@@ -275,13 +267,15 @@ fn sentence(place: &PoseInMap, source: Option<String>, frames: u64) -> String {
     };
     let source = source.map_or(String::new(), |source| format!(" ({})", console::source(&source)));
     format!(
-        "{at}x {} m ± {} mm, y {} m ± {} mm, heading {}° ± {}° (one standard deviation)\n\
+        "{at}x {:.*} m ± {} mm, y {:.*} m ± {} mm, heading {:.2}° ± {}° (one standard deviation)\n\
          nearest: keyframe {}, {:.3} m away, of session {}{source}\n",
-        rounded(place.x_m, decimals(place.sd_x_m)),
+        decimals(place.sd_x_m),
+        Rounded(place.x_m),
         deviation(1e3 * place.sd_x_m, 1),
-        rounded(place.y_m, decimals(place.sd_y_m)),
+        decimals(place.sd_y_m),
+        Rounded(place.y_m),
         deviation(1e3 * place.sd_y_m, 1),
-        rounded(place.heading_deg, 2),
+        Rounded(place.heading_deg),
         deviation(place.sd_heading_deg, 2),
         place.keyframe,
         place.keyframe_distance_m,

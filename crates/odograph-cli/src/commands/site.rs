@@ -2,6 +2,7 @@
 
 use crate::{Outcome, address, console, files, interrupt};
 use odograph::error::{Error, Result};
+use odograph::formats::decimal::Rounded;
 use odograph_live::server::new_token;
 use odograph_map::{MapFile, Session};
 use odograph_site::{
@@ -226,9 +227,9 @@ fn tell(report: &LinkReport) {
         (_, Some(place)) => format!(
             "the site has {} records; its map from this odometry: x {:.3} m, y {:.3} m, heading {:.2}°, scale {:.4}",
             report.acknowledged,
-            place.x_m,
-            place.y_m,
-            place.heading_rad.to_degrees(),
+            Rounded(place.x_m),
+            Rounded(place.y_m),
+            Rounded(place.heading_rad.to_degrees()),
             place.scale
         ),
         (_, None) => {

@@ -8,9 +8,10 @@ use odograph::formats::trajectory_file::parse_tum;
 use odograph::geometry::EarthPosition;
 use odograph::georeference::Anchor;
 use odograph::trajectory::Trajectory;
+use odograph_video::SourceOptions;
 use serde_json::Value;
 use std::fs;
-use std::io::{BufRead, BufReader};
+use std::io::{BufRead, BufReader, Write};
 use std::net::UdpSocket;
 use std::path::Path;
 use std::process::{Command, Stdio};
@@ -255,19 +256,25 @@ fn live_places_a_path_by_a_file_as_run_does() {
     assert!(!here.join("bad").exists());
 }
 
+/// A port for datagrams that is free, and not one of those that the system gives to programs that
+/// ask for any: nothing else of these tests gets it before the program opens it.
+fn port() -> u16 {
+    let first = 20_000 + (std::process::id() % 10_000) as u16;
+    (first..first + 100).find(|&port| UdpSocket::bind(("127.0.0.1", port)).is_ok()).unwrap()
+}
+
 #[test]
 fn live_places_a_path_by_positions_as_they_come() {
     let drive = Drive::new();
     let fixes = drive.fixes();
-    // A port that is free.
-    let port = UdpSocket::bind("127.0.0.1:0").unwrap().local_addr().unwrap().port();
+    let port = port();
     let options = format!(
-        "live sim/frames --fps 15 --realtime 3 --camera sim/camera.yaml --rig armed.toml --gnss udp:{port} --print poses \
-         --quiet -o live"
+        "live - --camera sim/camera.yaml --rig armed.toml --gnss udp:{port} --print poses --quiet -o live"
     );
     let mut live = Command::new(env!("CARGO_BIN_EXE_odograph"))
         .current_dir(drive.here())
         .args(options.split_whitespace())
+        .stdin(Stdio::piped())
         .stdout(Stdio::piped())
         .spawn()
         .unwrap();
@@ -275,13 +282,22 @@ fn live_places_a_path_by_positions_as_they_come() {
     let send = |text: &str| {
         receiver.send_to(text.as_bytes(), ("127.0.0.1", port)).unwrap();
     };
+    let mut camera = live.stdin.take().unwrap();
+    let mut poses = BufReader::new(live.stdout.take().unwrap()).lines();
     let mut next = fixes.iter().peekable();
-    // Each position once the frame of its time is tracked: late, and by a clock of its own.
-    for line in BufReader::new(live.stdout.take().unwrap()).lines() {
-        let frame: Value = serde_json::from_str(&line.unwrap()).unwrap();
-        if frame["frame"] == 0 {
+    let mut frames =
+        odograph_video::open(drive.here().join("sim/frames"), &SourceOptions::default()).unwrap();
+    camera.write_all(b"YUV4MPEG2 W320 H240 F15:1 Cmono\n").unwrap();
+    // Each frame is sent after the one before is tracked: on a busy machine none is dropped.
+    while let Some(image) = frames.next_frame().unwrap() {
+        camera.write_all(&[b"FRAME\n", image.gray.samples()].concat()).unwrap();
+        camera.flush().unwrap();
+        let frame: Value = serde_json::from_str(&poses.next().unwrap().unwrap()).unwrap();
+        assert_eq!(frame["frame"], image.number);
+        if image.number == 0 {
             send("$GPGSV,1,1,00*79\r\ntime_s,latitude_deg,longitude_deg,sigma_m\r\n");
         }
+        // Each position once the frame of its time is tracked: late, and by a clock of its own.
         while let Some((time_s, place)) =
             next.next_if(|(time_s, _)| *time_s <= frame["time_s"].as_f64().unwrap())
         {
@@ -289,6 +305,7 @@ fn live_places_a_path_by_positions_as_they_come() {
             send(&format!("{:.3},{latitude:.10},{longitude:.10},0.02\r\n", time_s + 5000.0));
         }
     }
+    drop(camera);
     assert!(live.wait().unwrap().success());
     let gnss = &drive.statistics("live")["gnss"];
     assert!(gnss["fixes"].as_u64().unwrap() > fixes.len() as u64 / 2, "{gnss}");

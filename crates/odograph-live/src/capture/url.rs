@@ -1,5 +1,6 @@
 //! URLs of HTTP streams.
 
+use super::without_credentials;
 use odograph::error::{Error, Result};
 
 /// The parts of an `http://` URL.
@@ -15,7 +16,10 @@ pub(super) struct HttpUrl {
 
 impl HttpUrl {
     pub fn parse(text: &str) -> Result<Self> {
-        let wrong = || Error::usage(format!("{text} is not an address as http://192.168.1.20:8080/video"));
+        let wrong = || {
+            let shown = without_credentials(text);
+            Error::usage(format!("{shown} is not an address as http://192.168.1.20:8080/video"))
+        };
         let rest = text.strip_prefix("http://").ok_or_else(wrong)?;
         let (authority, path) = match rest.find(['/', '?']) {
             Some(at) if rest[at..].starts_with('/') => (&rest[..at], rest[at..].to_owned()),
@@ -66,5 +70,7 @@ mod tests {
         {
             assert!(HttpUrl::parse(wrong).is_err(), "{wrong}");
         }
+        let message = HttpUrl::parse("http://me:secret@hall:99999/").unwrap_err().to_string();
+        assert!(message.starts_with("http://hall:99999/ is not an address"), "{message}");
     }
 }

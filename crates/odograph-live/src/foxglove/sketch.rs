@@ -38,7 +38,7 @@ impl PathSketch {
                     kept.push(point);
                 }
             }
-            // So many gaps that each segment has a single point: drop the oldest ones.
+            // With many gaps each segment has a single point: the oldest ones are dropped.
             if kept.len() > MAX_POINTS && self.spacing_m > 1e6 {
                 kept.drain(..kept.len() - MAX_POINTS);
             }

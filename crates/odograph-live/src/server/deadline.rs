@@ -52,7 +52,7 @@ impl Write for Deadlined {
     fn write(&mut self, bytes: &[u8]) -> io::Result<usize> {
         self.stream.set_write_timeout(Some(self.left()?))?;
         self.stream.write(bytes).map_err(|error| match error.kind() {
-            // A writer that is told to try again would keep the unsent data.
+            // At `WouldBlock` the writer would keep the unsent data and try again.
             io::ErrorKind::WouldBlock => io::ErrorKind::TimedOut.into(),
             _ => error,
         })

@@ -213,6 +213,9 @@ fn a_damaged_mosaic_can_be_rendered_again() {
         let (_folder, path) = tampered(sql);
         let message = sentence(&path);
         assert!(message.ends_with("; odograph map mosaic renders it again"), "{message}");
+        // A check reads all of it.
+        let checked = MapFile::open_read_only(&path).unwrap().check().unwrap_err().to_string();
+        assert_eq!(checked, message);
         let mut map = MapFile::open(&path).unwrap();
         assert!(map.render_mosaic(Some(0.02), &mut |_| true).unwrap());
         map.close().unwrap();

@@ -7,6 +7,8 @@ use odograph::ground_map::KeyframeImage;
 use odograph::image::GrayImage;
 use odograph::mosaic::MosaicPicture;
 use odograph_map::MapFile;
+use std::io::Cursor;
+use tiff::decoder::Decoder;
 
 /// The mosaic of twelve keyframes with modified images and with the poses of `misplaced`.
 fn mosaic(
@@ -70,6 +72,27 @@ fn exposure_and_vignetting_are_compensated() {
     let (least, greatest) =
         (ratios[ratios.len() / 50] / median, ratios[ratios.len() - 1 - ratios.len() / 50] / median);
     assert!(least > 0.96 && greatest < 1.04, "{least:.3} to {greatest:.3} of {median:.3}");
+}
+
+#[test]
+fn a_geotiff_ends_where_the_ground_does() {
+    let folder = tempfile::tempdir().unwrap();
+    let mut map =
+        MapFile::create(&folder.path().join("map.gpkg"), &ground::camera(), &Rig::level(0.5)).unwrap();
+    for number in 0..12 {
+        map.add_keyframe(&ground::keyframe(number, 0), &ground::image(number), &[]).unwrap();
+    }
+    map.render_mosaic(Some(0.004), &mut |_| true).unwrap();
+    let layer = map.mosaic().unwrap().unwrap();
+    let mut bytes = Cursor::new(Vec::new());
+    let picture = map.write_geotiff(&layer, &mut bytes, None, &mut || Ok(())).unwrap();
+    bytes.set_position(0);
+    let (width, height) = Decoder::new(bytes).unwrap().dimensions().unwrap();
+    assert_eq!((picture.width, picture.height), (width.into(), height.into()));
+    // Its left and upper borders are those of a tile, 512 pixels wide.
+    let [right, bottom] = [&layer.columns, &layer.rows].map(|range| range.end - range.start / 512 * 512);
+    assert_eq!((picture.width, picture.height), (right, bottom));
+    assert!([picture.width, picture.height].iter().all(|side| !side.is_multiple_of(512)), "{picture:?}");
 }
 
 #[test]

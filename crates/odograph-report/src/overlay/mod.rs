@@ -10,6 +10,7 @@ use lettering::Lettering;
 use odograph::camera::Camera;
 use odograph::drawing::canvas::{Canvas, Colour};
 use odograph::error::Result;
+use odograph::formats::decimal::Rounded;
 use odograph::geometry::{Pixel, wrap_angle};
 use odograph::image::RgbImage;
 use odograph::trajectory::TrackStatus;
@@ -165,7 +166,7 @@ fn short(reason: &str) -> &str {
 
 /// An angle with its sign and a true minus.
 fn degrees(angle: f64) -> String {
-    format!("{angle:+.1}°").replace("-0.0", "+0.0").replace('-', "−")
+    format!("{:+.1}°", Rounded(angle)).replace('-', "−")
 }
 
 /// A corner: a disc where it agrees with the motion, a cross where it does not; with a dark edge,

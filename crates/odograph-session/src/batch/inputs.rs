@@ -132,7 +132,7 @@ mod tests {
         let source = path.display().to_string();
         fs::write(&path, "one").unwrap();
         let first = Inputs::of(&source, "", None);
-        // A hash that is none shows that the file was not read.
+        // A value that is not a hash shows that the file was not read.
         let earlier = Inputs { recording: Some("known".to_owned()), ..first.clone() };
         assert_eq!(Inputs::of(&source, "", Some(&earlier)).recording.as_deref(), Some("known"));
         fs::write(&path, "three").unwrap();

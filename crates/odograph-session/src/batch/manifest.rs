@@ -178,7 +178,7 @@ impl Manifest {
         self.folder.join(file_name(&attempt.name, attempt.number))
     }
 
-    /// The attempt in a file; `None` if there is no such file, or it is none of the manifest's.
+    /// The attempt in a file; `None` if the file does not exist or does not belong to the manifest.
     fn read(&self, file: &str, unreadable: impl FnOnce() -> Attempt) -> Option<Arc<Attempt>> {
         let mut ended = self.ended.lock().unwrap_or_else(PoisonError::into_inner);
         if let Some(attempt) = ended.get(file) {
@@ -201,7 +201,7 @@ fn file_name(name: &str, number: u32) -> String {
     format!("{}-{number}.json", &hash::of_bytes(name.as_bytes())[..32])
 }
 
-/// An attempt whose file is damaged, as by a loss of power: nobody works at it.
+/// An attempt whose file is damaged, for example by a power failure: no worker has it.
 fn unreadable(name: &str, number: u32) -> Attempt {
     let (name, source, worker) = (name.to_owned(), String::new(), String::new());
     Attempt { name, source, number, worker, inputs: Inputs::default(), ended: None }
@@ -278,7 +278,7 @@ mod tests {
         let numbers: Vec<u32> = manifest.of("one").iter().map(|attempt| attempt.number).collect();
         assert_eq!(numbers, [1, 2]);
         assert_eq!((manifest.of("one")[0].ended.clone(), manifest.last().unwrap()["one"].number), (ended, 2));
-        // One that is damaged is one that nobody works at.
+        // No worker has a damaged one.
         fs::write(place.path().join(file_name("one", 3)), "").unwrap();
         assert_eq!(*manifest.of("one")[2], unreadable("one", 3));
     }

@@ -43,7 +43,7 @@ pub struct BatchOptions {
     pub retries: u32,
 }
 
-/// What there is to do for a recording.
+/// What remains to be done for a recording.
 #[derive(Debug)]
 pub enum Turn {
     /// It is to be run, into [`Batch::part_folder`]; then [`Batch::end`].
@@ -107,7 +107,7 @@ impl Batch {
         Ok(Self { results: results.to_owned(), options, parameters, manifest, worker, watch, earlier })
     }
 
-    /// What there is to do for a recording.
+    /// What remains to be done for a recording.
     ///
     /// # Errors
     /// If results are in its place that may not be overwritten, or an attempt cannot be recorded.

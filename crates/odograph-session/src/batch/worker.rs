@@ -140,7 +140,7 @@ mod tests {
             assert!(watch.has_ended("killed"));
         }
 
-        // On another machine nobody sees whether a process lives.
+        // Whether a process of another machine is alive cannot be determined here.
         let mut away = |count: u64, earlier: Duration| {
             fs::write(place.path().join("away"), format!("elsewhere {count:020}\n")).unwrap();
             if let Some((_, since)) = watch.seen.get_mut("away") {

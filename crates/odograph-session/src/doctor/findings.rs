@@ -7,6 +7,7 @@ use super::tracking::Tracking;
 use crate::rig::advice_for_other_size;
 use odograph::camera::{Camera, Rig};
 use odograph::fixed_pattern::FixedPattern;
+use odograph::formats::decimal::Rounded;
 use odograph::trajectory::LossReason;
 use serde::Serialize;
 
@@ -157,7 +158,7 @@ impl Seen<'_> {
         vec![regular, gap]
     }
 
-    /// Copies of a camera at rest without noise are none.
+    /// Equal images of a camera at rest without noise do not count.
     fn copies(&self) -> Option<Finding> {
         const MOVES_PX: f64 = 0.5;
         self.tracking.step_px(0.5).filter(|step_px| *step_px > MOVES_PX)?;
@@ -439,7 +440,12 @@ impl Seen<'_> {
             (by_deg, "deg"),
             // docs/ground.md: 0.2° bend a path of 9 m by 7 mm in a live run.
             Judgement::of(by_deg, 0.1, 20.0),
-            format!("roll {roll:+.2}° and pitch {pitch:+.2}°, not {}", given(roll_deg, pitch_deg)),
+            format!(
+                "roll {:+.2}° and pitch {:+.2}°, not {}",
+                Rounded(roll),
+                Rounded(pitch),
+                given(roll_deg, pitch_deg)
+            ),
             "a recorded run corrects it; for live runs measure it (odograph ground) and give --rig",
         ))
     }
@@ -461,11 +467,11 @@ impl Seen<'_> {
     }
 }
 
-/// A given tilt, degrees. Who gives a height alone has not given one.
+/// The nominal tilt, degrees; a rig with a height alone looks straight down.
 fn given(roll_deg: f64, pitch_deg: f64) -> String {
     match (roll_deg, pitch_deg) {
         (0.0, 0.0) => "straight down".to_owned(),
-        _ => format!("the given {roll_deg:+.2}° and {pitch_deg:+.2}°"),
+        _ => format!("the given {:+.2}° and {:+.2}°", Rounded(roll_deg), Rounded(pitch_deg)),
     }
 }
 

@@ -70,8 +70,8 @@ pub fn with_some_camera(
             let field_m = (ASSUMED_FIELD, ASSUMED_FIELD * height / width);
             let camera = Camera::from_field_of_view(size, field_m, 1.0)?;
             builder.camera = Some(CameraChoice::Known(Box::new(camera)));
-            // Its focal length and distortion are none of this camera's: with them motions out of
-            // the plane would be estimated that are none, and frames be lost for it.
+            // The assumed focal length and distortion are not this camera's: estimated with them,
+            // motions out of the plane would be spurious, and frames would be lost.
             if builder.motion == MotionModel::Auto {
                 builder.motion = MotionModel::Similarity;
             }

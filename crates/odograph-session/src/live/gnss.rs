@@ -40,7 +40,7 @@ impl GnssSource {
     /// device. `None` for an ordinary file.
     ///
     /// # Errors
-    /// If there is no such file, or the address is none.
+    /// If there is no such file, or the address is invalid.
     pub fn named(name: &str) -> Result<Option<Self>> {
         if name == "-" {
             return Ok(Some(Self::Input));
@@ -249,7 +249,7 @@ fn take(line: &[u8], now: Instant, heard: &Heard) {
 /// Reads a pipe or a device, again after its other end was closed.
 fn read_device(path: &Path, heard: &Heard) {
     while !heard.is_ended() {
-        // Opening a pipe waits for somebody who writes to it.
+        // Opening a pipe blocks until another program opens it for writing.
         if let Ok(file) = File::open(path) {
             read_lines(file, heard);
         }

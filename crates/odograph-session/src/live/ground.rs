@@ -257,7 +257,7 @@ mod tests {
         let keyframes = vec![(first.id, first.pose), (second.id, second.pose)];
         let correction = second.map_from_odometry();
         ground.render_again(&MosaicUpdate { file: path, keyframes, correction }).unwrap();
-        // Viewers are told of every changed tile, including empty ones.
+        // Every changed tile is reported to the viewers, including empty ones.
         let changed = ground.changed_since(before);
         let (there, bare): (Vec<_>, Vec<_>) =
             changed.into_iter().partition(|tile| ground.tile_rgba(*tile).is_some());

@@ -57,13 +57,14 @@ pub fn open_live_input(
     if options.raw.is_some() && name != "-" {
         return Err(Error::usage("--raw says how the frames on standard input look; give - as the source"));
     }
-    check_options(plan, options)?;
-    let never_late = |source: Box<dyn LiveSource>| LiveInput { source, policy: Policy::NewestWins };
     if name.starts_with("https://") {
         return Err(Error::usage(format!(
-            "{name}: encrypted streams are not read here; most cameras give http:// too"
+            "{}: encrypted streams are not read here; most cameras give http:// too",
+            without_credentials(name)
         )));
     }
+    check_options(plan, options)?;
+    let never_late = |source: Box<dyn LiveSource>| LiveInput { source, policy: Policy::NewestWins };
     if name.starts_with("http://") {
         let patience = options.patience.unwrap_or(PATIENCE);
         return Ok(never_late(Box::new(HttpMjpeg::open(name, patience, watch.clone())?)));

@@ -45,7 +45,7 @@ impl BoardRecording {
         }
         if duration_s * fps >= MAX_FRAMES {
             return Err(Error::usage(format!(
-                "{duration_s} s at {fps} frames per second are too many frames; {MAX_FRAMES:.0} are the limit"
+                "{duration_s:?} s at {fps:?} frames per second are too many frames; {MAX_FRAMES:.0} are the limit"
             )));
         }
         let framing = if scene.board().may_be_partial() { Framing::Partial } else { Framing::Whole };

@@ -367,7 +367,7 @@ fn times_s(config: &SimulationConfig) -> Result<Vec<f64>> {
     let duration_s = config.duration_s.unwrap_or(config.path.duration_s());
     if !(duration_s.is_finite() && duration_s >= 0.0 && duration_s * fps < MAX_FRAMES) {
         return Err(Error::usage(format!(
-            "{duration_s} s at {fps} frames per second is not a recording that can be made; {MAX_FRAMES:.0} frames are the limit"
+            "{duration_s:?} s at {fps:?} frames per second is not a recording that can be made; {MAX_FRAMES:.0} frames are the limit"
         )));
     }
     let last = (duration_s * fps + 1e-6).floor() as u64;

@@ -39,7 +39,7 @@ pub(super) fn files(folder: &Path) -> Result<Option<Vec<PathBuf>>> {
     let Some(first) = files.first() else {
         return match named {
             Some(_) => Err(Error::input(
-                "metadata.yaml describes a rosbag2 recording, but its files are not in this folder",
+                "metadata.yaml describes a rosbag2 recording, but its files are not in this folder; copy them into it",
             )),
             None => Ok(None),
         };

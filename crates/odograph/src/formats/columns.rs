@@ -64,8 +64,9 @@ impl<'a> Columns<'a> {
             let has_decimal_commas = !self.header.contains(',') && values.len() == self.names.len() + commas;
             let hint = if has_decimal_commas { "; write decimals with a point, 0.5 and not 0,5" } else { "" };
             return Err(Error::input(format!(
-                "line {line} has {} values, the first line names {} columns{hint}",
+                "line {line} has {} value{}, the first line names {} columns{hint}",
                 values.len(),
+                if values.len() == 1 { "" } else { "s" },
                 self.names.len()
             )));
         }

@@ -225,7 +225,9 @@ fn length(table: &Table, name: &str) -> Result<Option<f64>> {
     match written.as_str().and_then(length::parse) {
         Some((metres, true)) if metres.is_finite() => Ok(Some(metres)),
         _ => {
-            let shown: String = written.to_string().chars().take(40).flat_map(char::escape_debug).collect();
+            // As in the file, in one line.
+            let in_line = |c: char| if c.is_control() { ' ' } else { c };
+            let shown: String = written.to_string().chars().take(40).map(in_line).collect();
             Err(Error::input(format!(
                 "{name} is {shown} in the rig file; write a length with its unit, such as \"90cm\", or \
                  {name}_m with a number of metres"
@@ -318,6 +320,7 @@ mod tests {
             ("height_m = 1\nheight_m = 2", "line 2"),
             ("height_m = 1\nroll_dg = 2", "unknown key `roll_dg`; did you mean `roll_deg`?"),
             ("height = 1", "height is 1 in the rig file; write a length with its unit"),
+            ("height = \"75xx\"", "height is \"75xx\" in the rig file; write a length with its unit"),
             ("height = '1'", "with its unit"),
             ("hight_m = 1", "unknown key `hight_m`; did you mean `height_m`?"),
             ("height_m = 1\nx_mm = 300", "unknown key `x_mm`; the keys are height_m, roll_deg"),

@@ -16,6 +16,9 @@ pub struct Recognised {
     pub id: KeyframeId,
     /// Pose of the older keyframe in the new one's frame.
     pub motion: Vector4<f64>,
+    /// Standard deviation of the logarithm of the scale in `motion`; infinite where appearance does
+    /// not show the scale.
+    pub ln_scale_deviation: f64,
     /// Its predicted pose; `None` if nothing connects the two.
     pub prior: Option<Prior>,
 }
@@ -81,7 +84,8 @@ pub fn recognise(
         }
         let motion = inverse(&hypothesis.motion, SAME_METRES);
         let prior = there.map(|one| Prior::new(one, matcher, new.1));
-        let mut recognised = Recognised { id: hypothesis.keyframe, motion, prior };
+        let ln_scale_deviation = hypothesis.ln_scale_deviation;
+        let mut recognised = Recognised { id: hypothesis.keyframe, motion, ln_scale_deviation, prior };
         let innovation = recognised.innovation(&motion, &Matrix4::zeros());
         if let Some(prior) = recognised.prior.as_mut().filter(|_| innovation > UNREGISTERED * GATE) {
             prior.strength = Strength::Weak;

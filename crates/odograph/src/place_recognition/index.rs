@@ -60,6 +60,9 @@ pub struct PlaceHypothesis {
     /// where both signatures were taken at their true heights; otherwise it is the query's true
     /// height over the one its signature was taken with, if the keyframe's is right.
     pub motion: Vector4<f64>,
+    /// Standard deviation of the logarithm of the scale, by the matched features; infinite where
+    /// they are too few to show a scale, which is then 1.
+    pub ln_scale_deviation: f64,
     /// Number of matched features, one to one.
     pub matches: usize,
     /// Number of features in the overlap, of the image with fewer of them.
@@ -180,6 +183,7 @@ impl PlaceIndex {
                 PlaceHypothesis {
                     keyframe,
                     motion: Vector4::new(x, y, f64::from(heading_rad), f64::from(scale).ln()),
+                    ln_scale_deviation: support.ln_scale_deviation.into(),
                     matches: support.matches,
                     shared: support.shared,
                     rival_matches: rival.map_or(0, |rival| rival.matches),

@@ -55,6 +55,9 @@ fn turned(angle: f32) -> f32 {
 }
 
 impl Placing {
+    /// Fewest matches from which the scale is fitted: with fewer it would follow their errors.
+    const ENOUGH_FOR_SCALE: usize = 6;
+
     pub fn apply(&self, place: [f32; 2]) -> [f32; 2] {
         self.applied()(place)
     }
@@ -100,9 +103,8 @@ impl Placing {
 
     /// The least-squares transform of matched features (S. Umeyama, "Least-squares estimation of
     /// transformation parameters between two point patterns", 1991; in the plane a division of
-    /// complex numbers). With few matches the scale is fixed at 1: it would follow their errors.
+    /// complex numbers). With fewer than [`Placing::ENOUGH_FOR_SCALE`] the scale is fixed at 1.
     fn fitted(query: &Features, matches: &[FeatureMatch]) -> Option<Self> {
-        const ENOUGH_FOR_SCALE: usize = 6;
         let count = matches.len() as f64;
         if matches.len() < 2 {
             return None;
@@ -126,7 +128,7 @@ impl Placing {
         if spread < 1.0 {
             return None;
         }
-        let scale = if matches.len() < ENOUGH_FOR_SCALE { 1.0 } else { along.hypot(across) / spread };
+        let scale = if matches.len() < Self::ENOUGH_FOR_SCALE { 1.0 } else { along.hypot(across) / spread };
         let heading = across.atan2(along);
         let (sin, cos) = (scale * heading.sin(), scale * heading.cos());
         let shift = [means[2] - cos * means[0] + sin * means[1], means[3] - sin * means[0] - cos * means[1]];
@@ -152,6 +154,8 @@ pub(super) struct Support {
     pub shared: usize,
     /// Root mean square distance of matched features, spots.
     pub residual: f32,
+    /// Standard deviation of the logarithm of the scale; infinite where the scale is fixed at 1.
+    pub ln_scale_deviation: f32,
 }
 
 /// The transform, among those of pairs of matches, with the most votes, and their number.
@@ -204,6 +208,7 @@ pub(super) fn support(query: &Features, keyframe: &Features, start: Placing) -> 
         (at[0] - there[0]).powi(2) + (at[1] - there[1]).powi(2)
     };
     let squares: f32 = matches.iter().map(square_distance).sum();
+    let ln_scale_deviation = ln_scale_deviation(query, &matches, placing.scale, squares);
     let there = query.positions.iter().filter(|&&place| keyframe.covers(onto(place))).count();
     let here = keyframe.positions.iter().filter(|&&place| query.covers(back(place))).count();
     Some(Support {
@@ -212,7 +217,23 @@ pub(super) fn support(query: &Features, keyframe: &Features, start: Placing) -> 
         worth: matches.iter().map(|m| query.worth[m.query].min(keyframe.worth[m.keyframe])).sum(),
         shared: here.min(there).max(matches.len()),
         residual: (squares / matches.len().max(1) as f32).sqrt(),
+        ln_scale_deviation,
     })
+}
+
+/// Standard deviation of the logarithm of a fitted scale. `squares` is the sum of the squared
+/// distances of the matches, spots². The fit has four parameters for their `2 n` coordinates; a
+/// relative error of the scale moves each feature in proportion to its distance from their mean.
+fn ln_scale_deviation(query: &Features, matches: &[FeatureMatch], scale: f32, squares: f32) -> f32 {
+    if matches.len() < Placing::ENOUGH_FOR_SCALE {
+        return f32::INFINITY;
+    }
+    let count = matches.len() as f32;
+    let places = || matches.iter().map(|m| query.positions[m.query]);
+    let middle: [f32; 2] = std::array::from_fn(|k| places().map(|place| place[k]).sum::<f32>() / count);
+    let spread: f32 =
+        places().map(|place| (place[0] - middle[0]).powi(2) + (place[1] - middle[1]).powi(2)).sum();
+    (squares / (2.0 * count - 4.0) / spread.max(f32::MIN_POSITIVE)).sqrt() / scale
 }
 
 /// For every feature of the query the most similar one within `radius` spots; each of the

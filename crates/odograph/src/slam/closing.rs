@@ -2,6 +2,7 @@
 
 use super::Mapper;
 use super::mapper::ComparedKeyframes;
+use super::session_scale::PlaceScale;
 use crate::error::Result;
 use crate::geometry::WithCovariance;
 use crate::geometry::pose_index::LN_SCALE;
@@ -112,9 +113,12 @@ impl Mapper {
             ComparedKeyframes::All => self.is_new(new) && !self.is_new(old),
             ComparedKeyframes::Earlier => false,
         };
-        // A place with few matches has no scale of its own.
-        let scales = recognised.iter().map(|place| (new, place.id, place.motion[LN_SCALE]));
-        let scales: Vec<_> = scales.filter(|&(_, old, ln_scale)| ln_scale != 0.0 && counts(old)).collect();
+        let scale = |place: &Recognised| {
+            PlaceScale::new(-place.motion[LN_SCALE], place.ln_scale_deviation)
+                .map(|scale| (new, place.id, scale))
+        };
+        let counted = recognised.iter().filter(|place| counts(place.id));
+        let scales: Vec<_> = counted.filter_map(scale).collect();
         self.scales.extend(scales);
         let excess = self.scales.len().saturating_sub(MAX_SCALES);
         self.scales.drain(..excess);

@@ -3,7 +3,7 @@
 
 use super::Mapper;
 use super::mapper::ComparedKeyframes;
-use super::session_scale::SessionScale;
+use super::session_scale::{PlaceScale, SessionScale};
 use crate::error::Result;
 use crate::geometry::pose_index::{HEADING, X, Y};
 use crate::geometry::{PlaneTransform, Se2, Sim2, propagated};
@@ -39,8 +39,8 @@ pub struct OdometryPlacement {
 pub struct FleetMapper {
     mapper: Mapper,
     odometry: OdometryConfig,
-    /// Logarithms of the ratios of metres, by session.
-    scales: BTreeMap<u32, Vec<f64>>,
+    /// Scales at recognised places, by session.
+    scales: BTreeMap<u32, Vec<PlaceScale>>,
 }
 
 impl FleetMapper {
@@ -157,16 +157,15 @@ impl FleetMapper {
     /// Scale of a session relative to earlier ones; `None` if it has recognised too few of their
     /// places.
     pub fn scale(&self, session: u32) -> Option<SessionScale> {
-        let logarithms = self.scales.get(&session)?;
-        SessionScale::of(logarithms).filter(|scale| scale.places >= MIN_PLACES)
+        SessionScale::of(self.scales.get(&session)?).filter(|scale| scale.places >= MIN_PLACES)
     }
 
     /// Attributes ratios of scales to the later of two sessions: the map is taken to be right.
     fn take_scales(&mut self) {
-        for (new, old, ln_scale) in std::mem::take(&mut self.mapper.scales) {
+        for (new, old, scale) in std::mem::take(&mut self.mapper.scales) {
             let session = |id| self.mapper.keyframe(id).map(|keyframe| keyframe.session);
             let (Some(new), Some(old)) = (session(new), session(old)) else { continue };
-            let of_later = if new > old { -ln_scale } else { ln_scale };
+            let of_later = if new > old { scale } else { scale.inverse() };
             let known = self.scales.entry(new.max(old)).or_default();
             known.push(of_later);
             if known.len() > MAX_PLACES {

@@ -1,7 +1,7 @@
 //! The mapper inserts keyframes into the map, closes loops and optimises the pose graph.
 
 use super::backoff::Backoff;
-use super::session_scale::SessionScale;
+use super::session_scale::{PlaceScale, SessionScale};
 use crate::camera::{Camera, Rig};
 use crate::error::Result;
 use crate::geometry::pose_index::{HEIGHT, ROLL};
@@ -34,9 +34,9 @@ pub struct Mapper {
     pub(super) closures: Vec<LoopClosure>,
     /// Matches that wait for a second one to confirm them.
     pub(super) pending: Vec<LoopClosure>,
-    /// Ratios of scales where sessions recognised the same ground: new keyframe, older keyframe,
-    /// logarithm of the ratio of their metres.
-    pub(super) scales: Vec<(KeyframeId, KeyframeId, f64)>,
+    /// Scales where sessions recognised the same ground: new keyframe, older keyframe, and the
+    /// metres of the older over those of the new one.
+    pub(super) scales: Vec<(KeyframeId, KeyframeId, PlaceScale)>,
     /// For registrations of whole images.
     pub(super) backoff: Backoff,
     /// Loop closures since the last optimisation.
@@ -77,14 +77,6 @@ pub(super) const STEPS_AT_THE_END: usize = 60;
 /// A loop closure with a squared residual above this (three standard deviations) triggers an
 /// optimisation at once; smaller ones wait for the next.
 const MISFIT: f64 = 9.0;
-
-/// Number of recognised places from which the scale of a session in a continued map is judged: one
-/// picture resembles three or more keyframes where it has a scale of its own.
-const MIN_PLACES: usize = 3;
-
-/// Least standard deviation of the logarithm of the scale at one place: twice what places over
-/// rendered asphalt, concrete, grass and tiles scatter by, at heights that are off by 2 to 10 %.
-const PLACE_DEVIATION: f64 = 0.002;
 
 impl Mapper {
     /// A mapper with an empty map.
@@ -312,14 +304,11 @@ impl Mapper {
         self.graph.turn_per_m()
     }
 
-    /// Scale of the session relative to the earlier ones of the map that it continues; `None` if it
-    /// has recognised too few of their places.
+    /// Scale of the session relative to the earlier ones of the map that it continues; `None` if
+    /// no place that it has recognised shows one.
     pub fn scale_in_map(&self) -> Option<SessionScale> {
-        let logarithms: Vec<f64> = self.scales.iter().map(|(.., ln_scale)| -ln_scale).collect();
-        let scale = SessionScale::of(&logarithms).filter(|scale| scale.places >= MIN_PLACES)?;
-        // The spread of a few places may be small by chance.
-        let least = scale.ratio * PLACE_DEVIATION / (scale.places as f64).sqrt();
-        Some(SessionScale { deviation: scale.deviation.max(least), ..scale })
+        let places: Vec<PlaceScale> = self.scales.iter().map(|(.., scale)| *scale).collect();
+        SessionScale::of(&places)
     }
 
     /// A pose measured against a keyframe, transformed into the map frame; `None` if there is no

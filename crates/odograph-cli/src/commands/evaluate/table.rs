@@ -2,6 +2,7 @@
 
 use crate::console::name;
 use odograph::evaluation::{Evaluation, EvaluationOptions, Statistics};
+use odograph::formats::decimal::Rounded;
 use std::fmt::Write;
 use std::path::Path;
 
@@ -50,7 +51,9 @@ fn summary(
         let _ = writeln!(out, "         {truth_m:.3} m true, {estimate_m:.3} m estimated over the ground");
     }
     let scale = match e.scale {
-        Some(scale) => format!("truth is {scale:.6} times the estimate ({:+.3} %)", 100.0 * (scale - 1.0)),
+        Some(scale) => {
+            format!("truth is {scale:.6} times the estimate ({:+.3} %)", Rounded(100.0 * (scale - 1.0)))
+        }
         None => "not determined by these paths".to_owned(),
     };
     let _ = writeln!(out, "scale    {scale}");
@@ -63,7 +66,7 @@ fn summary(
         out,
         "at end   position {:.6} m off{of_path}, heading {:+.4}° off, with the first poses aligned",
         e.final_position_error_m,
-        e.final_heading_error_rad.to_degrees()
+        Rounded(e.final_heading_error_rad.to_degrees())
     );
     if !e.alignment.rotation_determined {
         let _ = writeln!(

@@ -3,6 +3,7 @@
 use super::{CAMERA_UNKNOWN, GroundArguments, RigMeasurement, read_camera};
 use crate::{console, interrupt};
 use odograph::error::{Error, Result};
+use odograph::formats::decimal::Rounded;
 use odograph::image::{GrayImage, RgbImage};
 use odograph_calibration::{Board, BoardFinder, BoardView, seen_instead};
 use odograph_calibration::{BoardMounting, FloorBoard, rig_from_boards};
@@ -169,8 +170,8 @@ fn summary(board: &Board, mounting: &BoardMounting, names: &[String], still: usi
         text += &format!(
             "  {name:<width$}  {:.4} m  {:8.3}°  {:8.3}°  rms {:.3} px{}\n",
             pose.height_m,
-            pose.roll_rad.to_degrees(),
-            pose.pitch_rad.to_degrees(),
+            Rounded(pose.roll_rad.to_degrees()),
+            Rounded(pose.pitch_rad.to_degrees()),
             view.rms_px,
             if view.why_not.is_some() { "  left out" } else { "" }
         );

@@ -29,7 +29,7 @@ pub struct ServeArguments {
 }
 
 impl ServeArguments {
-    /// Fails if there is a token for a page that nobody asked for.
+    /// Fails if a token is given without a page to serve.
     pub fn check(&self) -> Result<()> {
         match (&self.token, self.serve) {
             (Some(_), None) => Err(Error::usage(

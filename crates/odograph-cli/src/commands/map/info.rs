@@ -1,7 +1,9 @@
 //! `odograph map info`: what a map holds.
 
 use crate::{Outcome, console};
+use odograph::camera::{Camera, Rig};
 use odograph::error::{Error, Result};
+use odograph::formats::decimal::Rounded;
 use odograph::ground_map::GroundMap;
 use odograph::keyframe::{EdgeKind, KeyframeId};
 use odograph_map::{MapClaim, MapFile, MapLandmark, PathFrame, SessionOrigin};
@@ -36,8 +38,8 @@ struct MapInfo {
     file: String,
     bytes: u64,
     image_bytes: u64,
-    camera: odograph::camera::Camera,
-    rig: odograph::camera::Rig,
+    camera: Camera,
+    rig: Rig,
     sessions: Vec<SessionInfo>,
     keyframes: usize,
     odometry_edges: usize,
@@ -82,14 +84,14 @@ struct SessionInfo {
     unfinished: bool,
     start_s: Option<f64>,
     end_s: Option<f64>,
-    /// Who made it, where the robot has a name.
+    /// The robot that recorded it, if it has a name.
     #[serde(skip_serializing_if = "Option::is_none")]
     origin: Option<OriginInfo>,
     /// Its camera and mount, where they are not those of the map.
     #[serde(skip_serializing_if = "Option::is_none")]
-    camera: Option<odograph::camera::Camera>,
+    camera: Option<Camera>,
     #[serde(skip_serializing_if = "Option::is_none")]
-    rig: Option<odograph::camera::Rig>,
+    rig: Option<Rig>,
 }
 
 /// The name of a session that is the same in every map: its keyframes are numbered in it.
@@ -250,21 +252,12 @@ fn described(info: &MapInfo, checked: bool) -> String {
         megabytes(info.bytes),
         megabytes(info.image_bytes)
     );
+    let _ = writeln!(text, "camera     {}", mounted(&info.camera, &info.rig));
     let _ = writeln!(
         text,
-        "camera     {}x{}, focal lengths {:.1} and {:.1} px, {:.3} m above the ground",
-        info.camera.width(),
-        info.camera.height(),
-        info.camera.focal_px().0,
-        info.camera.focal_px().1,
-        info.rig.height_m
-    );
-    let _ = writeln!(
-        text,
-        "keyframes  {} in {} piece{}, {} features",
+        "keyframes  {} in {}, {} features",
         info.keyframes,
-        info.pieces,
-        if info.pieces == 1 { "" } else { "s" },
+        counted(info.pieces, "piece"),
         info.features
     );
     let _ = writeln!(
@@ -272,7 +265,7 @@ fn described(info: &MapInfo, checked: bool) -> String {
         "edges      {} odometry, {} gaps, {} loops",
         info.odometry_edges, info.gap_edges, info.loop_edges
     );
-    if let Some([left, bottom, right, top]) = info.extent_m {
+    if let Some([left, bottom, right, top]) = info.extent_m.map(|ends| ends.map(Rounded)) {
         let _ = writeln!(text, "extent     x {left:.2} to {right:.2} m, y {bottom:.2} to {top:.2} m");
     }
     match &info.mosaic {
@@ -288,64 +281,73 @@ fn described(info: &MapInfo, checked: bool) -> String {
         }
         None => text.push_str("mosaic     none; odograph map mosaic renders it\n"),
     }
-    for marker in &info.markers {
-        let sessions: Vec<String> = marker.sessions.iter().map(ToString::to_string).collect();
-        let _ = writeln!(
-            text,
-            "marker {:<3} {}:{}mm at x {:.3} m, y {:.3} m, ± {:.1} mm; seen {} time{}, session{} {}",
-            marker.number,
-            marker.family,
-            (1e6 * marker.size_m).round() / 1e3,
-            marker.x_m,
-            marker.y_m,
-            1e3 * marker.sigma_m,
-            marker.sightings,
-            if marker.sightings == 1 { "" } else { "s" },
-            if sessions.len() == 1 { "" } else { "s" },
-            sessions.join(", ")
-        );
-    }
-    for session in &info.sessions {
-        let _ = writeln!(
-            text,
-            "session {}  {}: {} keyframe{}, {} frame{}, {:.2} m",
-            session.id,
-            console::source(&session.source),
-            session.keyframes,
-            if session.keyframes == 1 { "" } else { "s" },
-            session.frames,
-            if session.frames == 1 { "" } else { "s" },
-            session.path_m
-        );
-        if session.unfinished {
-            let _ = writeln!(text, "           {}", unfinished(info));
-        }
-        if let Some(origin) = &session.origin {
-            let numbers = match (origin.first_number, origin.last_number) {
-                (Some(first), Some(last)) => format!(", keyframes {first} to {last}"),
-                _ => String::new(),
-            };
-            let _ = writeln!(text, "           by {}, session {}{numbers}", origin.robot, origin.key);
-        }
-        if let (Some(camera), Some(rig)) = (&session.camera, &session.rig) {
-            let _ = writeln!(
-                text,
-                "           camera {}x{}, focal lengths {:.1} and {:.1} px, {:.3} m above the ground",
-                camera.width(),
-                camera.height(),
-                camera.focal_px().0,
-                camera.focal_px().1,
-                rig.height_m
-            );
-        }
-    }
+    info.markers.iter().for_each(|marker| describe_marker(marker, &mut text));
+    info.sessions.iter().for_each(|session| describe_session(session, info, &mut text));
     if checked {
         text.push_str("checked    no damage found\n");
     }
     text
 }
 
-/// What there is to know of a session whose run did not end.
+fn describe_marker(marker: &MarkerInfo, text: &mut String) {
+    let sessions: Vec<String> = marker.sessions.iter().map(ToString::to_string).collect();
+    let _ = writeln!(
+        text,
+        "marker {:<3} {}:{}mm at x {:.3} m, y {:.3} m, ± {:.1} mm; seen {}, session{} {}",
+        marker.number,
+        marker.family,
+        (1e6 * marker.size_m).round() / 1e3,
+        Rounded(marker.x_m),
+        Rounded(marker.y_m),
+        1e3 * marker.sigma_m,
+        counted(marker.sightings, "time"),
+        if sessions.len() == 1 { "" } else { "s" },
+        sessions.join(", ")
+    );
+}
+
+fn describe_session(session: &SessionInfo, info: &MapInfo, text: &mut String) {
+    let _ = writeln!(
+        text,
+        "session {}  {}: {}, {}, {:.2} m",
+        session.id,
+        console::source(&session.source),
+        counted(session.keyframes, "keyframe"),
+        counted(session.frames, "frame"),
+        session.path_m
+    );
+    if session.unfinished {
+        let _ = writeln!(text, "           {}", unfinished(info));
+    }
+    if let Some(origin) = &session.origin {
+        let numbers = match (origin.first_number, origin.last_number) {
+            (Some(first), Some(last)) => format!(", keyframes {first} to {last}"),
+            _ => String::new(),
+        };
+        let _ = writeln!(text, "           by {}, session {}{numbers}", origin.robot, origin.key);
+    }
+    if let (Some(camera), Some(rig)) = (&session.camera, &session.rig) {
+        let _ = writeln!(text, "           camera {}", mounted(camera, rig));
+    }
+}
+
+/// A camera and its mount in a line.
+fn mounted(camera: &Camera, rig: &Rig) -> String {
+    let (fx, fy) = camera.focal_px();
+    format!(
+        "{}x{}, focal lengths {fx:.1} and {fy:.1} px, {:.3} m above the ground",
+        camera.width(),
+        camera.height(),
+        rig.height_m
+    )
+}
+
+/// A number of things, with the plural of a regular noun.
+fn counted(count: usize, noun: &str) -> String {
+    format!("{count} {noun}{}", if count == 1 { "" } else { "s" })
+}
+
+/// What is known about a session whose run did not end.
 fn unfinished(info: &MapInfo) -> String {
     let shown = console::name(&info.file);
     match MapClaim::is_held(Path::new(&info.file)) {
@@ -367,4 +369,27 @@ fn written_ahead(map: &Path) -> PathBuf {
     let mut log = map.as_os_str().to_owned();
     log.push("-wal");
     log.into()
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn what_rounds_to_zero_has_no_sign() {
+        let marker = MarkerInfo {
+            family: "apriltag:36h11".to_owned(),
+            size_m: 0.08,
+            number: 7,
+            x_m: -0.0004,
+            y_m: -1.25,
+            sigma_m: 0.001,
+            sightings: 1,
+            sessions: vec![0],
+            last_s: 1.0,
+        };
+        let mut text = String::new();
+        describe_marker(&marker, &mut text);
+        assert!(text.contains("x 0.000 m, y -1.250 m, ± 1.0 mm; seen 1 time, session 0"), "{text}");
+    }
 }

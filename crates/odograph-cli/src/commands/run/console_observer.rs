@@ -3,6 +3,7 @@
 use crate::{console, interrupt};
 use indicatif::{ProgressBar, ProgressStyle};
 use odograph::camera::Camera;
+use odograph::formats::decimal::Rounded;
 use odograph::trajectory::{FrameEstimate, TrackStatus};
 use odograph_session::{Observer, RunPlan, RunStatistics};
 use odograph_video::SourceInfo;
@@ -115,9 +116,9 @@ impl ConsoleObserver {
         self.log(&format!(
             "mount: height {} m, roll {:.2}°, pitch {:.2}°, yaw {:.2}°{}",
             rig.height_m,
-            rig.roll_rad.to_degrees(),
-            rig.pitch_rad.to_degrees(),
-            rig.yaw_rad.to_degrees(),
+            Rounded(rig.roll_rad.to_degrees()),
+            Rounded(rig.pitch_rad.to_degrees()),
+            Rounded(rig.yaw_rad.to_degrees()),
             plan.mask.as_ref().map_or_else(String::new, |mask| format!("; mask {}", mask.display())),
         ));
     }

@@ -1,4 +1,4 @@
-//! Options that have no effect on what is rendered are refused: nobody would notice otherwise.
+//! Options without effect on the rendered images are refused, so that a mistake is noticed.
 
 use super::{PathName, SimulateArguments};
 use clap::ValueEnum;

@@ -30,6 +30,11 @@ fn invalid_outputs_are_refused() {
     let into_itself = "frames --camera camera.yaml --height 1 --fps 30 -o frames/.";
     place.refused(into_itself, 2, "is the folder of the recording");
     assert_eq!(names(&place.path("frames")), before);
+    // A map that is one of the other results would be overwritten at the end of the run.
+    for map in ["out/stats.json", "out/../out/report.html"] {
+        let arguments = format!("drive.y4m --camera camera.yaml --height 1 -o out --map {map}");
+        place.refused(&arguments, 2, "is one of the results of this run and cannot be its map");
+    }
     // Parent folders created for the run are removed.
     place.refused("none.mp4 --camera camera.yaml --height 1 -o a/b/c", 3, "none.mp4");
     // Existing results are unchanged.

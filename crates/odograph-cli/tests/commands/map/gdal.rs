@@ -118,6 +118,15 @@ fn exports_are_georeferenced_in_gdal() {
     };
     export(&["-o", "floor.tif"]);
     export(&["-o", "floor.png"]);
+    let size = |file: &str| {
+        let info = gdal("gdalinfo", &[file], folder.path()).unwrap();
+        let line = info.lines().find_map(|line| line.strip_prefix("Size is ")).unwrap();
+        let (width, height) = line.split_once(", ").unwrap();
+        [width, height].map(|pixels| pixels.parse::<u64>().unwrap())
+    };
+    // The tiles of the GeoTIFF add fewer than 512 transparent columns and rows, left and above.
+    let more = [0, 1].map(|k| size("floor.tif")[k].checked_sub(size("floor.png")[k]));
+    assert!(more.iter().all(|more| more.is_some_and(|more| more < 512)), "{more:?}");
     export(&["-o", "placed.tif", "--anchor", "48.2082,16.3738,90"]);
     for name in ["path.geojson", "path.kml", "path.gpx"] {
         export(&["-o", name, "--anchor", "48.2082,16.3738,90"]);

@@ -9,12 +9,20 @@ use base64::Engine as _;
 use base64::engine::general_purpose::STANDARD as BASE64;
 use odograph::error::{Error, Result};
 use odograph_video::{Frame, Picture, SourceInfo};
+use std::fmt;
 use std::io::{self, BufRead, BufReader, Read, Write};
 use std::net::{TcpStream, ToSocketAddrs};
+use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
 use std::time::{Duration, Instant};
 
 /// Time limit for the camera's response, and for each read of an image.
 const PATIENCE: Duration = Duration::from_secs(5);
+/// Time limit for the whole header section of the response, however it is spread.
+const HEAD_PATIENCE: Duration = Duration::from_secs(10);
+/// Time limit for each image, from the end of the one before.
+const PICTURE_PATIENCE: Duration = Duration::from_secs(20);
+/// Maximum length of the camera's own words in a message, characters.
+const MAX_QUOTED: usize = 200;
 /// Maximum length of the response's header section, bytes.
 const MAX_HEAD: u64 = 16 << 10;
 
@@ -23,7 +31,7 @@ pub struct HttpMjpeg {
     url: HttpUrl,
     place: String,
     info: SourceInfo,
-    connection: Option<Multipart<Box<dyn BufRead + Send>>>,
+    connection: Option<Connection>,
     first: Option<Arrived>,
     began: Instant,
     number: u64,
@@ -51,7 +59,7 @@ struct FrameClock {
     last: Option<(f64, Option<f64>)>,
     /// What is added to the camera's time stamps, seconds.
     shift_s: Option<f64>,
-    /// Whether the camera's stamps turned out to be none of each frame.
+    /// Whether two frames had the same stamp, so that stamps are not times of single frames.
     distrusted: bool,
 }
 
@@ -102,12 +110,14 @@ impl HttpMjpeg {
     pub fn open(address: &str, patience: Duration, watch: Watch) -> Result<Self> {
         let url = HttpUrl::parse(address)?;
         let place = format!("http://{}{}", url.host_header(), url.path);
-        let failed = |why: io::Error| Error::input(format!("{place} gives no pictures: {why}"));
+        let failed = |NoStream { why, advice }: NoStream| {
+            Error::input(format!("{place} gives no pictures: {why}; {advice}"))
+        };
         let mut connection = connect(&url).map_err(failed)?;
         let mut part = Vec::new();
         let picture = loop {
-            if !connection.next(&mut part).map_err(failed)? {
-                return Err(failed(io::Error::other("the stream ended at once")));
+            if !connection.next(&mut part).map_err(|error| failed(NoStream::broken(&error)))? {
+                return Err(failed(NoStream::new("the stream ended at once", ANOTHER_READER)));
             }
             // The first image of a stream may be damaged; data that does not start as a JPEG file
             // is an error.
@@ -123,7 +133,7 @@ impl HttpMjpeg {
             info: SourceInfo { width, height, frame_count: None, description },
             url,
             place,
-            first: Some(Arrived { picture, at: Instant::now(), stamp_s: connection.timestamp_s() }),
+            first: Some(Arrived { picture, at: Instant::now(), stamp_s: connection.parts.timestamp_s() }),
             connection: Some(connection),
             began: Instant::now(),
             number: 0,
@@ -153,7 +163,7 @@ impl HttpMjpeg {
                 },
                 Some(connection) => match connection.next(&mut self.part) {
                     Ok(true) => {
-                        let (at, stamp_s) = (Instant::now(), connection.timestamp_s());
+                        let (at, stamp_s) = (Instant::now(), connection.parts.timestamp_s());
                         match Picture::from_jpeg(&self.part, true) {
                             Ok(picture) => {
                                 self.watch.back();
@@ -164,7 +174,7 @@ impl HttpMjpeg {
                         continue;
                     }
                     Ok(false) => "the stream ended".to_owned(),
-                    Err(error) => in_words(error).to_string(),
+                    Err(error) => NoStream::broken(&error).why,
                 },
             };
             self.connection = None;
@@ -177,7 +187,8 @@ impl HttpMjpeg {
                 }
                 None => {
                     return Err(Error::input(format!(
-                        "the camera at {} went away ({why}) and did not come back within {} s",
+                        "the camera at {} went away ({why}) and did not come back within {} s; check its power and \
+                         network, or give a longer --patience",
                         self.place,
                         self.patience.as_secs()
                     )));
@@ -222,30 +233,95 @@ impl LiveSource for HttpMjpeg {
     }
 }
 
-/// Connects, sends the request, and reads the response's header section.
-fn connect(url: &HttpUrl) -> io::Result<Multipart<Box<dyn BufRead + Send>>> {
-    ask(url).map_err(in_words)
+/// Why an address gives no pictures, and what can be done about it.
+#[derive(Debug)]
+struct NoStream {
+    why: String,
+    advice: String,
 }
 
-/// Operating systems report timeouts differently, and in messages that do not mention a timeout.
-fn in_words(error: io::Error) -> io::Error {
-    match error.kind() {
-        io::ErrorKind::WouldBlock | io::ErrorKind::TimedOut => {
-            io::Error::new(io::ErrorKind::TimedOut, format!("nothing came for {} s", PATIENCE.as_secs()))
-        }
-        _ => error,
+const CHECK_ADDRESS: &str = "check the address, and that the camera is on and in this network";
+const CHECK_PATH: &str =
+    "the camera's manual states the address of its stream (Motion JPEG, multipart/x-mixed-replace)";
+const ANOTHER_READER: &str = "check that no other program takes the camera's pictures, and try again";
+
+impl NoStream {
+    fn new(why: impl Into<String>, advice: impl Into<String>) -> Self {
+        Self { why: why.into(), advice: advice.into() }
+    }
+
+    /// A connection that failed. Operating systems report timeouts differently, and in messages
+    /// that do not mention a timeout.
+    fn broken(error: &io::Error) -> Self {
+        let why = match error.kind() {
+            io::ErrorKind::WouldBlock | io::ErrorKind::TimedOut => {
+                format!("nothing came for {} s", PATIENCE.as_secs())
+            }
+            _ => error.to_string(),
+        };
+        Self::new(why, CHECK_ADDRESS)
     }
 }
 
-fn ask(url: &HttpUrl) -> io::Result<Multipart<Box<dyn BufRead + Send>>> {
-    let addresses = (url.host.as_str(), url.port).to_socket_addrs()?;
-    let mut last = io::Error::other("there is no such host");
-    let stream = addresses
-        .into_iter()
-        .find_map(|address| TcpStream::connect_timeout(&address, PATIENCE).map_err(|e| last = e).ok())
-        .ok_or(last)?;
-    stream.set_read_timeout(Some(PATIENCE))?;
-    stream.set_write_timeout(Some(PATIENCE))?;
+impl fmt::Display for NoStream {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        f.write_str(&self.why)
+    }
+}
+
+/// When what is being read must have arrived.
+#[derive(Debug, Clone)]
+struct Deadline(Arc<Mutex<Instant>>);
+
+impl Deadline {
+    fn within(patience: Duration) -> Self {
+        Self(Arc::new(Mutex::new(Instant::now() + patience)))
+    }
+
+    fn instant(&self) -> MutexGuard<'_, Instant> {
+        self.0.lock().unwrap_or_else(PoisonError::into_inner)
+    }
+
+    fn extend(&self, patience: Duration) {
+        *self.instant() = Instant::now() + patience;
+    }
+}
+
+/// A connection of which every byte must arrive within [`PATIENCE`] of the one before, and before a
+/// deadline: otherwise a server that sends a byte now and then would be read without end.
+struct Timely {
+    stream: TcpStream,
+    deadline: Deadline,
+}
+
+impl Read for Timely {
+    fn read(&mut self, buffer: &mut [u8]) -> io::Result<usize> {
+        let left = self.deadline.instant().saturating_duration_since(Instant::now());
+        if left.is_zero() {
+            return Err(io::Error::other("it sends too slowly"));
+        }
+        self.stream.set_read_timeout(Some(left.min(PATIENCE)))?;
+        self.stream.read(buffer)
+    }
+}
+
+/// The images of a connection.
+struct Connection {
+    parts: Multipart<Box<dyn BufRead + Send>>,
+    deadline: Deadline,
+}
+
+impl Connection {
+    /// Reads the next image into `part`; `false` at the end.
+    fn next(&mut self, part: &mut Vec<u8>) -> io::Result<bool> {
+        self.deadline.extend(PICTURE_PATIENCE);
+        self.parts.next(part)
+    }
+}
+
+/// Connects, sends the request, and reads the response's header section.
+fn connect(url: &HttpUrl) -> std::result::Result<Connection, NoStream> {
+    let stream = connection(url)?;
     let authorization = match &url.credentials {
         Some(credentials) => format!("Authorization: Basic {}\r\n", BASE64.encode(credentials)),
         None => String::new(),
@@ -255,21 +331,52 @@ fn ask(url: &HttpUrl) -> io::Result<Multipart<Box<dyn BufRead + Send>>> {
         url.path,
         url.host_header()
     );
-    (&stream).write_all(request.as_bytes())?;
+    (&stream).write_all(request.as_bytes()).map_err(|error| NoStream::broken(&error))?;
+    let deadline = Deadline::within(HEAD_PATIENCE);
+    let stream = Timely { stream, deadline: deadline.clone() };
     let mut reader = BufReader::with_capacity(64 << 10, stream);
     let head = answer_head(&mut reader)?;
     let boundary = boundary(&head.content_type).ok_or_else(|| {
-        io::Error::other(format!(
-            "it answers with `{}`, not with a stream of pictures (multipart/x-mixed-replace)",
-            head.content_type
-        ))
+        let found = match quoted(&head.content_type) {
+            found if found.is_empty() => "something unnamed".to_owned(),
+            found => format!("`{found}`"),
+        };
+        let why =
+            format!("it answers with {found}, not with a stream of pictures (multipart/x-mixed-replace)");
+        NoStream::new(why, CHECK_PATH)
     })?;
     let body: Box<dyn BufRead + Send> = if head.chunked {
         Box::new(BufReader::new(Chunks { reader, left: 0, begun: false }))
     } else {
         Box::new(reader)
     };
-    Ok(Multipart::new(body, &boundary))
+    Ok(Connection { parts: Multipart::new(body, &boundary), deadline })
+}
+
+/// A connection to the first address of the host that answers.
+fn connection(url: &HttpUrl) -> std::result::Result<TcpStream, NoStream> {
+    let host = url.host.as_str();
+    let unknown = |why: String| {
+        let advice = "check the name, or give its IP address, such as http://192.168.1.20/video";
+        NoStream::new(format!("the name {host} is not known here ({why})"), advice)
+    };
+    let addresses = (host, url.port).to_socket_addrs().map_err(|error| unknown(error.to_string()))?;
+    let mut last = None;
+    let stream = addresses.into_iter().find_map(|address| {
+        TcpStream::connect_timeout(&address, PATIENCE).map_err(|error| last = Some(error)).ok()
+    });
+    let Some(stream) = stream else {
+        return Err(last.map_or_else(|| unknown("no address".to_owned()), |error| NoStream::broken(&error)));
+    };
+    let limited =
+        stream.set_read_timeout(Some(PATIENCE)).and_then(|()| stream.set_write_timeout(Some(PATIENCE)));
+    limited.map_err(|error| NoStream::broken(&error))?;
+    Ok(stream)
+}
+
+/// What a camera sent, for a message.
+fn quoted(text: &str) -> String {
+    text.trim().chars().take(MAX_QUOTED).collect()
 }
 
 struct AnswerHead {
@@ -277,33 +384,48 @@ struct AnswerHead {
     chunked: bool,
 }
 
-fn answer_head(reader: &mut impl BufRead) -> io::Result<AnswerHead> {
+fn answer_head(reader: &mut impl BufRead) -> std::result::Result<AnswerHead, NoStream> {
+    let no_http = || {
+        let advice = "check the port of the address, which is that of the camera's web page on most cameras";
+        NoStream::new("it does not answer as an HTTP server does", advice)
+    };
     let mut bytes = Vec::new();
     while !bytes.ends_with(b"\r\n\r\n") && !bytes.ends_with(b"\n\n") {
         let left = MAX_HEAD.saturating_sub(bytes.len() as u64);
-        if (&mut *reader).take(left).read_until(b'\n', &mut bytes)? == 0 {
-            return Err(io::Error::other("it does not answer as an HTTP server does"));
+        let read = (&mut *reader).take(left).read_until(b'\n', &mut bytes);
+        if read.map_err(|error| NoStream::broken(&error))? == 0 {
+            return Err(no_http());
         }
     }
     let mut space = [httparse::EMPTY_HEADER; 64];
     let mut head = httparse::Response::new(&mut space);
-    let parsed = head.parse(&bytes);
-    match (parsed, head.code) {
-        (Ok(httparse::Status::Complete(_)), Some(200)) => {}
-        (Ok(httparse::Status::Complete(_)), Some(401)) => {
-            return Err(io::Error::other("it wants a name and a password: http://name:password@…"));
-        }
-        (Ok(httparse::Status::Complete(_)), Some(code)) => {
-            return Err(io::Error::other(format!("it answers {code} {}", head.reason.unwrap_or_default())));
-        }
-        _ => return Err(io::Error::other("it does not answer as an HTTP server does")),
-    }
+    let (Ok(httparse::Status::Complete(_)), Some(code)) = (head.parse(&bytes), head.code) else {
+        return Err(no_http());
+    };
     let value = |name: &str| {
         let header = head.headers.iter().find(|header| header.name.eq_ignore_ascii_case(name));
         header.map_or(String::new(), |header| String::from_utf8_lossy(header.value).into_owned())
     };
+    if code != 200 {
+        return Err(refusal(code, head.reason.unwrap_or_default(), &value("location")));
+    }
     let chunked = value("transfer-encoding").eq_ignore_ascii_case("chunked");
     Ok(AnswerHead { content_type: value("content-type"), chunked })
+}
+
+/// What it means that the camera answers with another status than 200.
+fn refusal(code: u16, reason: &str, location: &str) -> NoStream {
+    let answers = quoted(&format!("it answers {code} {reason}"));
+    match code {
+        300..=399 if !location.is_empty() => NoStream::new(
+            format!("{answers}: the stream is at {}", quoted(location)),
+            "give that address; redirections are not followed",
+        ),
+        401 => NoStream::new("it wants a name and a password", "give http://name:password@…"),
+        403 => NoStream::new(answers, "give the name and password of a user who may see the pictures"),
+        500..=599 => NoStream::new(answers, ANOTHER_READER),
+        _ => NoStream::new(answers, CHECK_PATH),
+    }
 }
 
 /// A body in chunked transfer coding (RFC 9112, section 7.1).

@@ -74,7 +74,11 @@ fn other_servers_are_refused_with_a_clear_message() {
         let address = camera(vec![answer.as_bytes().to_vec()]);
         HttpMjpeg::open(&address, Duration::ZERO, Watch::default()).unwrap_err().to_string()
     };
-    assert!(refused("HTTP/1.1 404 Not Found\r\n\r\n").contains("it answers 404"));
+    let missing = refused("HTTP/1.1 404 Not Found\r\n\r\n");
+    assert!(missing.contains("it answers 404 Not Found; the camera's manual states"), "{missing}");
+    let elsewhere = refused("HTTP/1.1 302 Found\r\nLocation: http://10.0.0.9/live\r\n\r\n");
+    assert!(elsewhere.contains("the stream is at http://10.0.0.9/live; give that address"), "{elsewhere}");
+    assert!(refused("HTTP/1.1 503 Busy\r\n\r\n").contains("503 Busy; check that no other program"));
     assert!(refused("HTTP/1.1 401 Who\r\n\r\n").contains("name and a password"));
     let page = refused("HTTP/1.1 200 OK\r\nContent-Type: text/html\r\n\r\n<p>");
     assert!(page.contains("`text/html`, not with a stream of pictures"), "{page}");
@@ -82,6 +86,45 @@ fn other_servers_are_refused_with_a_clear_message() {
     assert!(refused(&format!("{HEAD}\r\n")).contains("ended at once"));
     let text = refused(&format!("{HEAD}\r\n--b\r\n\r\nhello\r\n--b--\r\n"));
     assert!(text.contains("JPEG"), "{text}");
+}
+
+#[test]
+fn a_camera_that_cannot_be_reached_says_what_to_check() {
+    let failure =
+        |address: &str| HttpMjpeg::open(address, Duration::ZERO, Watch::default()).unwrap_err().to_string();
+    // The port was free a moment ago.
+    let port = TcpListener::bind("127.0.0.1:0").unwrap().local_addr().unwrap().port();
+    let refused = failure(&format!("http://127.0.0.1:{port}/video"));
+    assert!(refused.starts_with(&format!("http://127.0.0.1:{port}/video gives no pictures: ")), "{refused}");
+    assert!(
+        refused.ends_with("; check the address, and that the camera is on and in this network"),
+        "{refused}"
+    );
+    // Names that end in `.invalid` do not exist (RFC 6761).
+    let unknown = failure("http://camera.invalid/video");
+    assert!(unknown.contains("the name camera.invalid is not known here"), "{unknown}");
+    assert!(unknown.contains("check the name, or give its IP address"), "{unknown}");
+}
+
+#[test]
+fn a_connection_has_a_time_limit_as_a_whole() {
+    let listener = TcpListener::bind("127.0.0.1:0").unwrap();
+    let stream = TcpStream::connect(listener.local_addr().unwrap()).unwrap();
+    let (mut camera, _) = listener.accept().unwrap();
+    camera.write_all(b"HT").unwrap();
+    let deadline = Deadline::within(PATIENCE);
+    let mut timely = Timely { stream, deadline: deadline.clone() };
+    let mut byte = [0];
+    assert_eq!(timely.read(&mut byte).unwrap(), 1);
+    // Another byte would be there, but too late.
+    deadline.extend(Duration::ZERO);
+    assert!(timely.read(&mut byte).unwrap_err().to_string().contains("too slowly"));
+    // Each image has its own time.
+    let parts: Box<dyn BufRead + Send> = Box::new(BufReader::new(timely));
+    let mut connection = Connection { parts: Multipart::new(parts, "b"), deadline: deadline.clone() };
+    drop(camera);
+    assert!(!connection.next(&mut Vec::new()).unwrap());
+    assert!(*deadline.instant() > Instant::now());
 }
 
 /// A part with the time at which the camera took its image.

@@ -51,7 +51,7 @@ impl SensorRecord {
     pub fn new(quantity: Quantity, times_s: Vec<f64>, values: Vec<Vec<f64>>) -> Result<Self> {
         if times_s.len() < 2 {
             return Err(Error::input(format!(
-                "a sensor record has {} samples; two are the least",
+                "a sensor record needs at least two readings and has {}; give that of the whole recording",
                 times_s.len()
             )));
         }

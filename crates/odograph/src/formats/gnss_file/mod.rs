@@ -43,7 +43,9 @@ pub fn parse(text: &str) -> Result<Vec<GnssFix>> {
         csv(text)?
     };
     if fixes.is_empty() {
-        return Err(Error::input("there is no position in the file"));
+        return Err(Error::input(
+            "there is no position in the file; give one with positions of the recording's time",
+        ));
     }
     Ok(fixes)
 }

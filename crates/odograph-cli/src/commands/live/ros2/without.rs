@@ -7,7 +7,7 @@ use odograph::error::{Error, Result};
 use odograph_session::live::{LiveOptions, LiveRun};
 use odograph_session::{Observer, RunBuilder, SensorFiles};
 
-/// A run with ROS 2, which there is none of.
+/// A run with ROS 2: uninhabited, as this program is built without it.
 #[derive(Debug)]
 pub enum Ros2Run {}
 

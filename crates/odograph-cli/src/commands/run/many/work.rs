@@ -96,7 +96,7 @@ impl Work<'_> {
         order.into()
     }
 
-    /// One recording after the other, until there is none left that is not done.
+    /// One recording after the other, until all are done.
     fn take_each(&self, shared: &Shared, threads: usize) {
         let queue = || shared.queue.lock().unwrap_or_else(PoisonError::into_inner);
         let next = || {
