@@ -97,9 +97,8 @@ impl<'a> Nuisance<'a> {
     fn corrected_by_elevation(&self, observation: &Observation, row: &[f64; POSE]) -> f64 {
         let Some((prior, assumed)) = self.observations.shutter else { return 0.0 };
         let depth_m = observation.centre_of_projection.z - observation.elevation.mean_m;
-        let off = &self.values[WITH_KEYFRAME - POSE..];
-        let shift = |i: usize| prior.readout.mean_s * assumed[i] + self.skew_sigma[i] * off[i];
-        observation.row_fraction * [0, 1, 3].map(|i| row[i] * shift(i)).iter().sum::<f64>() / depth_m
+        let by_rates = [0, 1, 3].map(|i| row[i] * assumed[i]).iter().sum::<f64>();
+        observation.row_fraction * prior.readout.mean_s * by_rates / depth_m
     }
 
     /// Derivative of a point by the pose of the keyframe. Elevations were measured in metres of the

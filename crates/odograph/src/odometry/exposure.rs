@@ -65,6 +65,7 @@ impl Odometry {
 
     /// Refines how the present keyframe was exposed by a frame measured against it.
     pub(super) fn refine_exposure(&mut self, estimate: &MotionEstimate) {
+        let are_of_plane = std::mem::take(&mut self.rates_are_of_plane);
         let (Some(seen), Some(prior)) = (&estimate.shutter, self.learned.frame_shutter) else { return };
         let readout_s = prior.readout.mean_s;
         if self.keyframes == 1 {
@@ -74,7 +75,7 @@ impl Odometry {
                 _ => {}
             }
         }
-        if !self.rows_determine_rates(readout_s) {
+        if are_of_plane || !self.rows_determine_rates(readout_s) {
             return;
         }
         let relative_variance = prior.readout.variance_s2 / readout_s.powi(2);

@@ -93,6 +93,9 @@ pub struct Odometry {
     interlacing: Interlacing,
     /// So many frames before this one were lost.
     lost_frames: usize,
+    /// Whether the rates of the present frame were predicted by poses on a plane that the ground
+    /// has turned out not to be.
+    rates_are_of_plane: bool,
     /// Number of repeated images before this frame.
     repeated: usize,
     frames: u64,
@@ -150,6 +153,7 @@ impl Odometry {
             interlacing: Interlacing::default(),
             lost_frames: 0,
             repeated: 0,
+            rates_are_of_plane: false,
             frames: 0,
             first_time_s: None,
             keyframes: 0,
@@ -361,8 +365,7 @@ impl Odometry {
             self.expose_on_slope();
         }
         let Ok(again) = self.measure_near(pyramid, time_s) else { return measured };
-        // Its rates were predicted by poses on a plane, and show nothing of the keyframe's.
-        self.learned.frame_shutter = None;
+        self.rates_are_of_plane = true;
         if let Some(keyframe) = &mut self.keyframe {
             self.learned.saw_elevations(keyframe, &again.found, &again.estimate, &self.camera);
             if keyframe.surface.is_none() {
