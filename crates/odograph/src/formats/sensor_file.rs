@@ -123,11 +123,11 @@ mod tests {
             ("", "nothing in the file"),
             ("1.0,2.0\n", "line 1 is \"1.0,2.0\"; it must name the columns, time_s and rate_rad_s or"),
             ("time_s,speed_m_s\n", "rate_rad_s"),
-            ("time_s,rate_rad_s\n0,1\n0.1\n", "line 3 has 1 values"),
+            ("time_s,rate_rad_s\n0,1\n0.1\n", "line 3 has 1 value, the first line names 2 columns"),
             ("time_s,rate_rad_s\n0,1\n0.1,fast\n", "line 3: \"fast\""),
             ("time_s,rate_rad_s\n0,1\n0.1,inf\n", "line 3: \"inf\""),
             ("time_s,rate_rad_s\n1,1\n1,2\n", "line 3: the time 1 s is not later than 1 s"),
-            ("time_s,rate_rad_s\n1,1\n", "1 samples"),
+            ("time_s,rate_rad_s\n1,1\n", "needs at least two readings and has 1;"),
         ] {
             let error = parse(text, SensorKind::Gyro).unwrap_err();
             assert!(error.to_string().contains(part), "{text:?}: {error}");

@@ -15,7 +15,7 @@ use crate::image::Pyramid;
 use crate::motion::{CoarseOptions, CoarseRegistration, GroundView, Hypothesis, MotionModel, Random};
 use std::f64::consts::PI;
 
-/// So many keyframes are compared with a frame, beside the present one.
+/// Number of keyframes that are compared with a lost frame, beside the present one.
 const KEYFRAMES_PER_FRAME: usize = 2;
 
 /// Hypotheses that stand out less than this are not worth following.

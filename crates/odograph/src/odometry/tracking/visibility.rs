@@ -31,8 +31,8 @@ impl Measurement {
         })
     }
 
-    /// Decimal logarithm of the number of false alarms: how often so many of the tracks would agree
-    /// so closely by chance, if they ended anywhere within twice `inlier_px` of their predictions
+    /// Decimal logarithm of the number of false alarms: how often as many tracks would agree
+    /// as closely by chance, if they ended anywhere within twice `inlier_px` of their predictions
     /// (L. Moisan and B. Stival, "A probabilistic criterion to detect rigid point matches", 2004).
     /// Tracks begin at their predictions and end near them even where the ground is another.
     pub fn false_alarms(&self, inlier_px: f64) -> f64 {
