@@ -288,7 +288,7 @@ fn live_places_a_path_by_positions_as_they_come() {
     let mut frames =
         odograph_video::open(drive.here().join("sim/frames"), &SourceOptions::default()).unwrap();
     camera.write_all(b"YUV4MPEG2 W320 H240 F15:1 Cmono\n").unwrap();
-    // Each frame is sent after the one before is tracked: on a busy machine none is dropped.
+    // Each frame is sent after the one before is tracked, so that a busy machine drops no frame.
     while let Some(image) = frames.next_frame().unwrap() {
         camera.write_all(&[b"FRAME\n", image.gray.samples()].concat()).unwrap();
         camera.flush().unwrap();
