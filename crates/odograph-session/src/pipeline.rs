@@ -15,6 +15,7 @@ use crate::timings::Timings;
 use crate::views::{MosaicFrames, Posed};
 use odograph::camera::{Camera, Rig};
 use odograph::error::{Error, Result};
+use odograph::image::ImageDefects;
 use odograph::odometry::{KeyframeEvent, Odometry, TrackView};
 use odograph::pose_frame::PoseFrame;
 use odograph::self_calibration::{CameraDifference, CameraMonitor, PassEnd};
@@ -60,8 +61,8 @@ pub struct Tracked {
     pub lens: Option<FoundLens>,
     /// The readout time of the image.
     pub readout: Option<FoundReadout>,
-    /// Whether the video was found to be interlaced.
-    pub interlaced: bool,
+    /// What was found to be wrong with the images.
+    pub defects: ImageDefects,
 }
 
 /// Processing times of each frame per stage.
@@ -145,7 +146,7 @@ pub fn track(
     let interrupted = observer.is_stop_asked() && announced != Some(tracking.frames.count() as u64);
     Ok(PassEnd::Finished(Tracked {
         readout: FoundReadout::of(plan, &tracking.odometry),
-        interlaced: tracking.odometry.is_interlaced(),
+        defects: tracking.odometry.image_defects(),
         marks: Vec::new(),
         keyframes: tracking.odometry.keyframes(),
         fixed: FixedInImage::of(&tracking.odometry),

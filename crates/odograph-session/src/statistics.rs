@@ -50,6 +50,12 @@ pub struct RunStatistics {
     /// Whether the video is interlaced; left out where it is not.
     #[serde(skip_serializing_if = "std::ops::Not::not")]
     pub interlaced: bool,
+    /// Whether rows are brighter or darker at random, which was corrected; left out where not.
+    #[serde(skip_serializing_if = "std::ops::Not::not")]
+    pub row_noise: bool,
+    /// Whether single pixels are white or black at random, which was corrected; left out where not.
+    #[serde(skip_serializing_if = "std::ops::Not::not")]
+    pub impulse_noise: bool,
     /// Mask of what is static in the image.
     pub fixed_in_image: FixedInImage,
     /// Whether the run was ended early by a signal.

@@ -28,6 +28,7 @@ use odograph::error::{Error, Result};
 use odograph::filter::fusion::{SensorReport, Sensors};
 use odograph::formats::camera_file;
 use odograph::georeference::Anchor;
+use odograph::image::ImageDefects;
 use odograph::mosaic::Mosaic;
 use odograph::pose_frame::{PoseFrame, PoseFrames};
 use odograph::trajectory::FrameSummary;
@@ -96,6 +97,12 @@ struct Finishing<'a> {
 /// Warning about interlaced video.
 const INTERLACED: &str = "the video is interlaced: even and odd rows of a frame are of different times, and the even ones \
                           alone are used; a camera set to progressive video gives twice as many rows";
+
+/// Warnings about noise that is corrected, but costs accuracy.
+const ROW_NOISE: &str = "rows of the images are brighter or darker at random, which was corrected; more light, or a \
+                         better cable of an analog camera, gives better images";
+const IMPULSE_NOISE: &str = "single pixels of the images are white or black at random, which was corrected; a better \
+                             connection, or a cooler sensor, gives better images";
 
 /// Fails if there are too few frames for a trajectory.
 fn enough(plan: &RunPlan, tracked: &mut Tracked, output: &RunOutput) -> Result<()> {
@@ -172,8 +179,11 @@ impl Finishing<'_> {
         self.warn(bends);
         let reads = self.tracked.readout.as_ref().and_then(FoundReadout::sentence);
         self.warn(reads);
-        let combed = self.tracked.interlaced.then(|| INTERLACED.to_owned());
-        self.warn(combed);
+        let ImageDefects { interlaced, row_noise, impulse_noise } = self.tracked.defects;
+        let defects = [(interlaced, INTERLACED), (row_noise, ROW_NOISE), (impulse_noise, IMPULSE_NOISE)];
+        for (_, warning) in defects.into_iter().filter(|(is_there, _)| *is_there) {
+            self.warn(Some(warning.to_owned()));
+        }
         // A camera may well stand where it asks for its place.
         if !self.ending.output.localizes() {
             let stands = stillness_warning(&mut self.tracked.frames, &self.plan.camera)?;

@@ -116,7 +116,7 @@ pub fn follow(
     let found = following.calibration.as_ref().and_then(OnlineCalibration::found);
     let mut tracked = Tracked {
         readout: FoundReadout::of(plan, &following.odometry),
-        interlaced: following.odometry.is_interlaced(),
+        defects: following.odometry.image_defects(),
         marks: following.recorder.report_marks(),
         keyframes: following.odometry.keyframes(),
         fixed: FixedInImage::of(&following.odometry),

@@ -1,6 +1,7 @@
 //! Interlaced video: even and odd rows of an image are of different times.
 
 use super::GrayImage;
+use crate::numerics::median;
 
 /// Finds out from the images themselves whether a recording is interlaced.
 ///
@@ -19,7 +20,7 @@ const COMBED: f64 = 1.3;
 /// Combed images in a row from which a recording is interlaced.
 const SURE: u32 = 2;
 
-/// Every so many rows are compared.
+/// Rows from one comparison to the next.
 const EVERY: usize = 8;
 
 impl Interlacing {
@@ -38,15 +39,23 @@ impl Interlacing {
 }
 
 fn is_combed(image: &GrayImage) -> bool {
-    let difference = |a: &[u8], b: &[u8]| -> u64 {
-        a.iter().zip(b).map(|(&a, &b)| (i32::from(a) - i32::from(b)).pow(2) as u64).sum()
+    let difference = |a: &[u8], b: &[u8]| -> f64 {
+        a.iter().zip(b).map(|(&a, &b)| (i32::from(a) - i32::from(b)).pow(2) as u64).sum::<u64>() as f64
     };
-    let (mut next, mut second) = (0, 0);
-    for y in (0..image.height().saturating_sub(2)).step_by(EVERY) {
-        next += difference(image.row(y), image.row(y + 1));
-        second += difference(image.row(y), image.row(y + 2));
+    let rows = (0..image.height().saturating_sub(2)).step_by(EVERY);
+    let of_row = |y| [1, 2].map(|apart| difference(image.row(y), image.row(y + apart)));
+    // Rows of a black border say nothing, and a row counts no more than the median row: a few that
+    // differ from all others, as those of a broken sensor do, are no second field.
+    let differences: Vec<[f64; 2]> = rows.map(of_row).filter(|[next, second]| next + second > 0.0).collect();
+    let mut sums: Vec<f64> = differences.iter().map(|[next, second]| next + second).collect();
+    let Some(most) = median(&mut sums) else { return false };
+    let (mut next, mut second) = (0.0, 0.0);
+    for [to_next, to_second] in differences {
+        let weight = (most / (to_next + to_second)).min(1.0);
+        next += weight * to_next;
+        second += weight * to_second;
     }
-    next as f64 > COMBED * second as f64
+    next > COMBED * second
 }
 
 /// The image of the time of the even rows: odd rows are the mean of their neighbours.
@@ -88,6 +97,16 @@ mod tests {
         let most = rows.map(|at| field.samples()[at].abs_diff(truth.samples()[at])).max();
         assert!(most.unwrap() < 8, "{most:?}");
         assert!((0..64).step_by(2).all(|y| field.row(y) == truth.row(y)));
+    }
+
+    #[test]
+    fn broken_rows_are_no_second_field() {
+        let mut image = picture(|_| 0);
+        for y in [9, 33] {
+            image.samples_mut()[y * 96..][..96].fill(0);
+        }
+        let mut interlacing = Interlacing::default();
+        assert!((0..10).all(|_| !interlacing.look(&image)));
     }
 
     #[test]

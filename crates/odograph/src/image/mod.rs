@@ -3,14 +3,17 @@
 //! Integer coordinates are pixel centres: (0, 0) is the centre of the top left pixel; `x` points
 //! right, `y` down.
 
+mod impulse_noise;
 mod interlacing;
 mod noise;
 mod pyramid;
+mod restoration;
+mod row_noise;
 pub(crate) mod simd;
 
-pub use interlacing::{Interlacing, even_field};
 pub use noise::noise_variance;
 pub use pyramid::Pyramid;
+pub use restoration::{ImageDefects, Restoration};
 
 /// An owned gray (luminance) image, 8 bits per pixel, rows without padding.
 #[derive(Debug, Clone, PartialEq, Eq)]

@@ -1,0 +1,55 @@
+//! Restoration of images whose defects can be seen in the image itself.
+
+use super::GrayImage;
+use super::impulse_noise::{has_impulse_noise, remove_impulse_noise};
+use super::interlacing::{Interlacing, even_field};
+use super::row_noise::{has_row_noise, remove_row_noise};
+
+/// What is wrong with the images of a recording.
+#[derive(Debug, Clone, Copy, Default, PartialEq, Eq)]
+pub struct ImageDefects {
+    /// Even and odd rows are of different times; the even ones are used.
+    pub interlaced: bool,
+    /// Rows are brighter or darker at random.
+    pub row_noise: bool,
+    /// Single pixels are white or black at random.
+    pub impulse_noise: bool,
+}
+
+/// Finds and corrects defects of the images of a recording, in the order of time. What was found
+/// once is corrected from then on: frames must be corrected like the keyframe they are compared
+/// with.
+#[derive(Debug, Clone, Default)]
+pub struct Restoration {
+    images: u64,
+    interlacing: Interlacing,
+    found: ImageDefects,
+}
+
+/// Images from one that is examined for noise to the next.
+const EXAMINED_EVERY: u64 = 4;
+
+impl Restoration {
+    /// The next image, corrected.
+    pub fn restore(&mut self, mut image: GrayImage) -> GrayImage {
+        let found = &mut self.found;
+        if self.images.is_multiple_of(EXAMINED_EVERY) {
+            found.impulse_noise = found.impulse_noise || has_impulse_noise(&image);
+            found.row_noise = found.row_noise || has_row_noise(&image);
+        }
+        self.images += 1;
+        if found.impulse_noise {
+            remove_impulse_noise(&mut image);
+        }
+        if found.row_noise {
+            remove_row_noise(&mut image);
+        }
+        found.interlaced = self.interlacing.look(&image);
+        if found.interlaced { even_field(image) } else { image }
+    }
+
+    /// What was wrong with any image so far.
+    pub fn found(&self) -> ImageDefects {
+        self.found
+    }
+}
