@@ -31,23 +31,34 @@ impl ImageMask {
     pub fn from_picture(picture: &GrayImage) -> Self {
         let mut mask = Self::nothing((picture.width(), picture.height()));
         let rows = mask.covered.len() / mask.columns;
-        let reach = PATCH_REACH_PX.div_ceil(CELL_PX);
         for y in 0..picture.height() {
             for x in (0..picture.width()).filter(|&x| picture.row(y)[x] < 128) {
                 let (column, row) = ((x / CELL_PX).min(mask.columns - 1), (y / CELL_PX).min(rows - 1));
                 mask.covered[row * mask.columns + column] = true;
             }
         }
-        let black = mask.covered.clone();
-        for (at, _) in black.iter().enumerate().filter(|(_, black)| **black) {
-            let (column, row) = (at % mask.columns, at / mask.columns);
+        mask.with_patches()
+    }
+
+    /// The mask dilated by the radius of a patch.
+    pub(super) fn with_patches(mut self) -> Self {
+        let rows = self.covered.len() / self.columns;
+        let reach = PATCH_REACH_PX.div_ceil(CELL_PX);
+        let covered = self.covered.clone();
+        for (at, _) in covered.iter().enumerate().filter(|(_, covered)| **covered) {
+            let (column, row) = (at % self.columns, at / self.columns);
             for r in row.saturating_sub(reach)..(row + reach + 1).min(rows) {
-                let from = r * mask.columns + column.saturating_sub(reach);
-                let to = r * mask.columns + (column + reach + 1).min(mask.columns);
-                mask.covered[from..to].fill(true);
+                let from = r * self.columns + column.saturating_sub(reach);
+                let to = r * self.columns + (column + reach + 1).min(self.columns);
+                self.covered[from..to].fill(true);
             }
         }
-        mask.counted()
+        self.counted()
+    }
+
+    /// What either of two masks of the same size covers.
+    pub fn union(&self, other: &Self) -> Self {
+        Self::of_cells(self.size, &self.covered, Some(other))
     }
 
     /// The union of the cells found to be static and the mask given by the user.

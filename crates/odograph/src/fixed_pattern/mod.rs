@@ -13,10 +13,12 @@
 
 mod image_mask;
 mod nonuniformity;
+mod stale_blocks;
 mod statistics;
 
 pub use image_mask::{CELL_PX, ImageMask};
 pub use nonuniformity::NonuniformityCorrection;
+pub use stale_blocks::stale_blocks;
 
 use crate::image::{GrayImage, noise_variance};
 use statistics::{Cells, Change, GradientStatistics};

@@ -4,7 +4,9 @@
 //! Where the scene moves, the temporal mean of a pixel is its pattern and the mean brightness of
 //! the scene (J. Harris and Y.-M. Chiang, "Nonuniformity correction of infrared image sequences
 //! using the constant-statistics constraint", IEEE Transactions on Image Processing 8 (8), 1999).
-//! Of the scene itself, 1/n is left in the mean of n independent images.
+//! Of the scene itself, 1/n is left in the mean of n independent images, less where its variance
+//! explains the mean (W. James and C. Stein, "Estimation with quadratic loss", 1961). A pixel that does not vary
+//! at all is dead, and takes the mean of its neighbours.
 
 use crate::image::GrayImage;
 
@@ -13,13 +15,36 @@ use crate::image::GrayImage;
 pub struct NonuniformityCorrection {
     samples: u32,
     mean: Vec<f32>,
-    /// Deviation of each pixel's mean from that of the whole image, gray levels.
+    /// Temporal mean of the squared sample.
+    square: Vec<f32>,
+    /// Deviation of each pixel's mean from that of the whole image, gray levels; zero where it is
+    /// dead.
     offsets: Vec<i16>,
+    dead: Vec<DeadPixel>,
 }
+
+/// A pixel that shows the same whatever the camera looks at, with pixels beside it that do not.
+#[derive(Debug, Clone, Copy, PartialEq)]
+struct DeadPixel {
+    index: u32,
+    /// Indices of its neighbours; the same twice where there is only one.
+    beside: [u32; 2],
+}
+
+/// The temporal variance of a dead pixel is below this part of the median pixel's. Of twelve
+/// samples of noise alone, one in 10^5 is.
+const DEAD_VARIANCE: f32 = 0.1;
+
+/// A dead pixel is replaced from neighbours within this distance, pixels: what covers more is a
+/// thing, and not a defect of the sensor.
+const DEAD_REACH: isize = 2;
 
 /// Memory of the exponential moving average, samples: of the ground's variance, 1/128 is left in
 /// the mean.
 const MAX_SAMPLES: u32 = 64;
+
+/// The median variance is that of every eleventh pixel; columns are hardly ever 11 apart.
+const MEDIAN_OF_EVERY: usize = 11;
 
 /// The strength of the pattern is estimated from every fourth row.
 const STRENGTH_ROWS: usize = 4;
@@ -31,7 +56,13 @@ impl NonuniformityCorrection {
     /// A correction that changes nothing yet, for images of this size.
     pub fn new((width, height): (usize, usize)) -> Self {
         let pixels = width * height;
-        Self { samples: 0, mean: vec![0.0; pixels], offsets: vec![0; pixels] }
+        Self {
+            samples: 0,
+            mean: vec![0.0; pixels],
+            square: vec![0.0; pixels],
+            offsets: vec![0; pixels],
+            dead: Vec::new(),
+        }
     }
 
     /// Number of images behind it, up to the memory of the average.
@@ -50,13 +81,55 @@ impl NonuniformityCorrection {
         self.samples = (self.samples + 1).min(MAX_SAMPLES);
         let weight = 1.0 / self.samples as f32;
         let mut sum = 0.0f64;
-        for (mean, &sample) in self.mean.iter_mut().zip(image.samples()) {
-            *mean += weight * (f32::from(sample) - *mean);
+        let means = self.mean.iter_mut().zip(&mut self.square);
+        for ((mean, square), &sample) in means.zip(image.samples()) {
+            let sample = f32::from(sample);
+            *mean += weight * (sample - *mean);
+            *square += weight * (sample * sample - *square);
             sum += f64::from(*mean);
         }
         let whole = (sum / self.mean.len().max(1) as f64) as f32;
-        for (offset, mean) in self.offsets.iter_mut().zip(&self.mean) {
-            *offset = (mean - whole).round() as i16;
+        let means = self.mean.iter().zip(&self.square);
+        for (offset, (mean, square)) in self.offsets.iter_mut().zip(means) {
+            // Of the ground, its variance over n is left in the square (James–Stein estimator).
+            let (own, by_ground) = (mean - whole, weight * (square - mean * mean).max(0.0));
+            let known = (1.0 - by_ground / (own * own)).max(0.0); // 0/0 is no pattern either
+            *offset = (known * own).round() as i16;
+        }
+        self.find_dead_pixels(image.width());
+    }
+
+    /// Finds the pixels that do not vary, with the nearest that do on both sides.
+    fn find_dead_pixels(&mut self, width: usize) {
+        let variance = |(mean, square): (&f32, &f32)| (square - mean * mean).max(0.0);
+        let variances: Vec<f32> = self.mean.iter().zip(&self.square).map(variance).collect();
+        let mut sorted: Vec<f32> = variances.iter().copied().step_by(MEDIAN_OF_EVERY).collect();
+        let middle = sorted.len() / 2;
+        self.dead.clear();
+        if sorted.is_empty() {
+            return;
+        }
+        let limit = DEAD_VARIANCE * *sorted.select_nth_unstable_by(middle, f32::total_cmp).1;
+        let is_dead = |index: usize| variances[index] < limit;
+        let height = variances.len() / width;
+        for index in (0..variances.len()).filter(|&index| is_dead(index)) {
+            let (x, y) = ((index % width) as isize, (index / width) as isize);
+            let healthy = |(dx, dy): (isize, isize)| {
+                let (x, y) = (x + dx, y + dy);
+                let is_inside = x >= 0 && y >= 0 && x < width as isize && y < height as isize;
+                let at = y * width as isize + x;
+                (is_inside && !is_dead(at as usize)).then_some(at as u32)
+            };
+            // Dead lines are one or two pixels wide, and cross.
+            let opposite = |step: isize| {
+                let directions = [(step, 0), (0, step), (step, step), (step, -step)];
+                let both = |(dx, dy)| Some([healthy((dx, dy))?, healthy((-dx, -dy))?]);
+                let one = |(dx, dy)| healthy((dx, dy)).or(healthy((-dx, -dy))).map(|at| [at, at]);
+                directions.into_iter().find_map(both).or(directions.into_iter().find_map(one))
+            };
+            let Some(beside) = (1..=DEAD_REACH).find_map(opposite) else { continue };
+            self.offsets[index] = 0;
+            self.dead.push(DeadPixel { index: index as u32, beside });
         }
     }
 
@@ -66,6 +139,10 @@ impl NonuniformityCorrection {
         for (sample, &offset) in image.samples_mut().iter_mut().zip(&self.offsets) {
             let pattern = (strength * i32::from(offset) + ONE / 2) >> ONE.ilog2();
             *sample = (i32::from(*sample) - pattern).clamp(0, 255) as u8;
+        }
+        let samples = image.samples_mut();
+        for DeadPixel { index, beside: [a, b] } in &self.dead {
+            samples[*index as usize] = samples[*a as usize].midpoint(samples[*b as usize]);
         }
     }
 
@@ -119,6 +196,27 @@ mod tests {
         let off = corrected.samples().iter().zip(clean.samples()).map(|(a, b)| f64::from(a.abs_diff(*b)));
         // The ground has a deviation of 6 gray levels, of which an eighth is left in the mean.
         assert!(off.sum::<f64>() / (SIZE.0 * SIZE.1) as f64 <= 1.0);
+    }
+
+    #[test]
+    fn dead_pixels_take_the_mean_of_their_neighbours() {
+        let dead = |x: usize, y: usize| x == 20 || y == 11 || y == 12;
+        let broken = |number: u64| {
+            let mut image = image(number, 0);
+            for (at, sample) in image.samples_mut().iter_mut().enumerate() {
+                if dead(at % SIZE.0, at / SIZE.0) {
+                    *sample = if at % 2 == 0 { 0 } else { 255 };
+                }
+            }
+            image
+        };
+        let mut correction = NonuniformityCorrection::new(SIZE);
+        (0..MAX_SAMPLES).for_each(|number| correction.learn(&broken(number.into())));
+        let mut corrected = broken(900);
+        correction.apply(&mut corrected);
+        // The ground is between 120 and 140; a pixel's mean is within a few levels of 130, and that
+        // of the whole image is moved by the dead ones.
+        assert!(corrected.samples().iter().all(|sample| (105..=155).contains(sample)));
     }
 
     #[test]

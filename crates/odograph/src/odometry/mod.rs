@@ -36,7 +36,8 @@ use crate::error::{Error, Result};
 use crate::filter::ConstantAcceleration;
 use crate::fixed_pattern::{FixedPattern, ImageMask, NonuniformityCorrection, SinceLast};
 use crate::geometry::{GroundPoint, GroundPose, Pixel, propagated};
-use crate::image::{GrayImage, Interlacing, Pyramid, even_field};
+use crate::image::{GrayImage, ImageDefects, Pyramid, Restoration};
+use crate::motion::dense::TileTrack;
 use crate::motion::{MotionEstimate, MotionModel, PoseRates, Readout};
 use crate::trajectory::{FrameEstimate, LossReason, PlaneMeasurement, PoseEstimate, TrackStatus};
 use candidate::SegmentCandidate;
@@ -50,6 +51,7 @@ use nalgebra::{Matrix2, Matrix6, Matrix6x2};
 use pattern_noise::PatternNoise;
 use recovery::Recovery;
 use standing::Standing;
+use std::sync::Arc;
 use tracking::Measurement;
 
 /// What one track looked like in the last frame, for pictures and pages.
@@ -90,7 +92,7 @@ pub struct Odometry {
     fixed: FixedPattern,
     standing: Standing,
     pattern_noise: PatternNoise,
-    interlacing: Interlacing,
+    restoration: Restoration,
     /// So many frames before this one were lost.
     lost_frames: usize,
     /// Whether the rates of the present frame were predicted by poses on a plane that the ground
@@ -98,6 +100,8 @@ pub struct Odometry {
     rates_are_of_plane: bool,
     /// Number of repeated images before this frame.
     repeated: usize,
+    /// What of the present image is a copy of the last one.
+    stale: Option<Arc<ImageMask>>,
     frames: u64,
     /// Time of the first frame, seconds.
     first_time_s: Option<f64>,
@@ -150,9 +154,10 @@ impl Odometry {
             fixed,
             standing: Standing::default(),
             pattern_noise: PatternNoise::default(),
-            interlacing: Interlacing::default(),
+            restoration: Restoration::default(),
             lost_frames: 0,
             repeated: 0,
+            stale: None,
             rates_are_of_plane: false,
             frames: 0,
             first_time_s: None,
@@ -226,8 +231,8 @@ impl Odometry {
     /// If the image has another size than the calibration, or the time is not a number.
     pub fn process(&mut self, image: GrayImage, time_s: f64) -> Result<FrameEstimate> {
         self.check_input(&image, time_s)?;
-        let mut image = if self.interlacing.look(&image) { even_field(image) } else { image };
         self.check_readout(time_s)?;
+        let mut image = self.restoration.restore(image);
         let seen = self.pattern_noise.keep(&image, self.frames);
         if let Some(correction) = self.pattern_noise.correction() {
             correction.apply(&mut image);
@@ -240,6 +245,7 @@ impl Odometry {
         }
         self.repeated = 0;
         self.reference = None;
+        self.leave_out_stale_blocks(&image, time_s);
         let since_last = self.look_for_what_is_fixed(&image);
         if let Some(keyframe) = &mut self.keyframe {
             keyframe.prepare(&self.camera);
@@ -294,9 +300,9 @@ impl Odometry {
         self.learned.shutter().is_some_and(|state| state.has_moved())
     }
 
-    /// Whether the recording was found to be interlaced: of each image, the even rows are used.
-    pub fn is_interlaced(&self) -> bool {
-        self.interlacing.is_found()
+    /// Defects of the images that were found and corrected.
+    pub fn image_defects(&self) -> ImageDefects {
+        self.restoration.found()
     }
 
     /// How many keyframes were made.
@@ -378,12 +384,12 @@ impl Odometry {
     /// A measured frame: its pose improved by the filter, and perhaps the next keyframe.
     fn accept(&mut self, pyramid: Pyramid, time_s: f64, measurement: Measurement) -> FrameEstimate {
         let inlier_ratio = self.keyframe.as_ref().map(|k| measurement.inlier_ratio(k, &self.camera));
-        let Measurement { mut estimate, found, fixed, support, .. } = measurement;
+        let Measurement { mut estimate, found, fixed, support, tiles, .. } = measurement;
         let update = self.keyframe_update(&estimate);
         self.move_with_keyframe(&mut estimate, &update);
         let uncertainty = self.uncertainty(&estimate, &update);
         let stated_covariance = self.stated_covariance(&uncertainty, &estimate.pose);
-        self.show_tracks(&found, &estimate);
+        self.show_tracks(&found, &tiles, &estimate);
         self.learn(&found, &estimate, &update, inlier_ratio);
         self.follow(time_s, &estimate, uncertainty.covariance);
         let improved = self.improve(time_s, &estimate);
@@ -430,7 +436,7 @@ impl Odometry {
     }
 
     /// Keeps the tracks of a measured frame for [`Odometry::tracks`].
-    fn show_tracks(&mut self, found: &[FoundCorner], estimate: &MotionEstimate) {
+    fn show_tracks(&mut self, found: &[FoundCorner], tiles: &[TileTrack], estimate: &MotionEstimate) {
         let corners = self.keyframe.as_ref().map_or(&[][..], |keyframe| &keyframe.corners);
         let view = |(found, &inlier): (&FoundCorner, &bool)| {
             let corner = corners.get(found.corner)?.template.centre();
@@ -443,6 +449,11 @@ impl Odometry {
         };
         self.tracks.clear();
         self.tracks.extend(found.iter().zip(&estimate.inliers).filter_map(view));
+        let tile = |(&tile, &inlier): (&TileTrack, &bool)| {
+            let TileTrack { reference: corner, pixel, covariance_px2 } = tile;
+            TrackView { pixel, corner, inlier, covariance_px2 }
+        };
+        self.tracks.extend(tiles.iter().zip(&estimate.inliers).map(tile));
     }
 
     /// Learns from a measured frame how height and tilt vary, the level of the ground and how much

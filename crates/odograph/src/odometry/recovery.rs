@@ -319,6 +319,7 @@ mod tests {
                 refined: false,
                 fixed: Buffer::new(),
                 agreement: None,
+                tiles: Vec::new(),
             },
             remembered: None,
         }

@@ -8,11 +8,13 @@
 
 use super::last_pose::{LastPose, seen_apart};
 use super::{FrameReference, Odometry};
+use crate::fixed_pattern::stale_blocks;
 use crate::geometry::pose_index::{HEADING, X, Y};
 use crate::image::GrayImage;
 use crate::motion::MotionModel;
 use crate::trajectory::{FrameEstimate, PlaneMeasurement, PoseEstimate, TrackStatus};
 use nalgebra::Matrix6;
+use std::sync::Arc;
 
 /// More repeated images than this in a row are not left out by a camera or a codec.
 const MOST_COPIES: usize = 4;
@@ -23,13 +25,34 @@ const AT_REST_PX: f64 = 0.5;
 /// Over a longer freeze, frames, no motion goes on.
 const LONGEST_FREEZE: usize = 60;
 
+/// Motion since the last frame, pixels, from which a part of an image that has not changed at all is
+/// a copy: of a camera that stands, codecs copy whole regions.
+const MOVES_PX: f64 = 2.0;
+
 impl Odometry {
-    /// Whether an image is a copy of the last one.
-    pub(super) fn is_repeated(&self, image: &GrayImage) -> bool {
-        let last = match &self.spare {
+    /// The last image.
+    fn last_image(&self) -> Option<&GrayImage> {
+        match &self.spare {
             Some(spare) => Some(spare.base()),
             None => self.keyframe.as_ref().map(|keyframe| keyframe.pyramid.base()),
-        };
+        }
+    }
+
+    /// Leaves out what of an image is a copy of the last one, although the camera moves.
+    pub(super) fn leave_out_stale_blocks(&mut self, image: &GrayImage, time_s: f64) {
+        let focal_px = self.camera.focal_px().0;
+        let moves =
+            |last: &LastPose| focal_px * seen_apart(&last.pose, &last.extrapolated(time_s)) > MOVES_PX;
+        let before = self.last_image().filter(|_| self.last.as_ref().is_some_and(moves));
+        self.stale = before.and_then(|before| stale_blocks(image, before)).map(Arc::new);
+        if let Some(keyframe) = &mut self.keyframe {
+            keyframe.stale = self.stale.clone();
+        }
+    }
+
+    /// Whether an image is a copy of the last one.
+    pub(super) fn is_repeated(&self, image: &GrayImage) -> bool {
+        let last = self.last_image();
         self.repeated < if self.is_at_rest() { MOST_COPIES } else { LONGEST_FREEZE }
             && self.lost_frames == 0
             && self.config.motion.model != MotionModel::Mean

@@ -78,6 +78,9 @@ impl Odometry {
         let FrameUncertainty { covariance, model_covariance, by_readout, by_mount_tilt } = uncertainty;
         let mut next =
             Keyframe::to_be_prepared(pyramid, pose, covariance, self.fixed.mask(), &self.config.detection);
+        if let Some(stale) = &self.stale {
+            next.leave_out(stale, &self.config.detection);
+        }
         if !next.can_be_followed(2 * self.config.motion.minimum_inliers) {
             return Some(next.pyramid); // better the rest of the old one than nothing
         }

@@ -8,6 +8,7 @@ use crate::simulation::{
 };
 use std::sync::Arc;
 
+mod defects;
 mod lossy;
 mod moving;
 mod pattern;

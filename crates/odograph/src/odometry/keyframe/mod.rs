@@ -84,6 +84,8 @@ pub struct Keyframe {
     pub corners: Vec<KeyCorner>,
     /// What of the image is known not to be ground.
     pub mask: Option<Arc<ImageMask>>,
+    /// What of the frame that is measured against it is a copy of the frame before.
+    pub stale: Option<Arc<ImageMask>>,
     /// How many corners it began with.
     pub corners_at_first: usize,
     /// Ground that moves by itself.
@@ -211,9 +213,18 @@ impl Keyframe {
         self.texture = OnceLock::new();
     }
 
-    /// Whether a place in the image is known not to be ground.
+    /// Looks for no corners in a part of its image, and again in the rest.
+    pub fn leave_out(&mut self, part: &ImageMask, detection: &DetectionConfig) {
+        let image = self.pyramid.base();
+        let mask = self.mask.as_ref().map_or_else(|| part.clone(), |mask| mask.union(part));
+        let mut sought = sought(image, Some(&Arc::new(mask)), detection);
+        sought.look(image, image.height() / 2);
+        self.sought = Some(Box::new(sought));
+    }
+
+    /// Whether a place in the frame that is measured is known not to show the ground now.
     pub fn is_masked(&self, pixel: Pixel) -> bool {
-        self.mask.as_ref().is_some_and(|mask| mask.covers_pixel(pixel))
+        [&self.mask, &self.stale].into_iter().flatten().any(|mask| mask.covers_pixel(pixel))
     }
 
     /// Projects the corners onto the ground and prepares their templates, where not done yet. In

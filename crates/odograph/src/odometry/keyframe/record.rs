@@ -81,6 +81,7 @@ impl Keyframe {
             undulates: surface.as_ref().is_some_and(Surface::is_smooth),
             surface,
             mask,
+            stale: None,
             places,
             moving: MovingGround::default(),
             sought: None,

@@ -17,7 +17,7 @@ use crate::camera::Camera;
 use crate::flow::forward_backward_px;
 use crate::geometry::GroundPose;
 use crate::image::Pyramid;
-use crate::motion::dense::{self, DenseEstimate, DenseImage};
+use crate::motion::dense::{self, DenseEstimate, DenseImage, TileTrack};
 use crate::motion::{MotionEstimate, MotionModel, Random};
 use crate::trajectory::LossReason;
 pub use observations::SHARED_PX2;
@@ -40,8 +40,10 @@ pub struct Measurement {
     /// Whether the probe corners agreed on a pose from which the rest was searched for: what was
     /// not found from there is not visible.
     pub refined: bool,
-    /// Where the whole image was compared: the part of what is in view that agrees.
+    /// Where the whole image was compared: the part of what is in view that agrees, and the tiles
+    /// in step with the estimate's inliers.
     pub agreement: Option<f64>,
+    pub tiles: Vec<TileTrack>,
 }
 
 /// Measures the pose of a frame against a keyframe, somewhere about `prediction`.
@@ -135,6 +137,7 @@ fn measure_whole(
         support: found.agreement * found.overlap,
         refined: true,
         agreement: Some(found.agreement),
+        tiles: found.tracks,
     })
 }
 

@@ -48,7 +48,8 @@ pub(super) fn fit_pose(
     let estimate = estimate.ok_or_else(|| reason_of_loss(keyframe, camera, &found, prediction))?;
     let support = estimate.inlier_count() as f64 / keyframe.corners_at_first.max(1) as f64;
     let (refined, fixed) = (probe_pose.is_some(), Buffer::new());
-    Ok(Measurement { estimate, prediction: *prediction, found, fixed, support, refined, agreement: None })
+    let (agreement, tiles) = (None, Vec::new());
+    Ok(Measurement { estimate, prediction: *prediction, found, fixed, support, refined, agreement, tiles })
 }
 
 /// Fits of one frame under several hypotheses about the ground.
