@@ -180,6 +180,11 @@ pub fn rows() -> Vec<BenchmarkRow> {
         BenchmarkRow { name: "bricks", texture: "bricks", ..clean() },
         BenchmarkRow { texture: "bare", ..with("faint", Effects { noise_gray: 1.0, ..noise() }) },
         BenchmarkRow { texture: "bare", ..small("faint-noise", noise()) },
+        BenchmarkRow {
+            texture: "bare",
+            rig: tilted,
+            ..with("faint-tilt-unknown", Effects { noise_gray: 1.0, ..noise() })
+        },
         with("noise-6-gray", Effects { noise_gray: 6.0, ..noise() }),
         with("vibration", Effects { vibration: Some(vibration), ..noise() }),
         with("blur-10ms", Effects { exposure_s: 0.010, ..noise() }),

@@ -95,6 +95,23 @@ pub enum Alteration {
         /// Share of all blocks.
         share: f64,
     },
+    /// In every fourth image on average, a band of rows that stays as the image before was shown.
+    LostRows,
+    /// Each row of each image is brighter or darker by a random amount.
+    RowNoise {
+        /// Standard deviation.
+        gray: f64,
+    },
+    /// Single pixels are black or white.
+    Impulses {
+        /// Share of all pixels.
+        share: f64,
+    },
+    /// Rows of the sensor are black, and columns white.
+    DeadLines {
+        /// How many of each.
+        count: usize,
+    },
     /// Motion-JPEG of low quality.
     Blocky {
         /// Quantisation step of the lowest frequency, gray levels.
@@ -187,6 +204,10 @@ impl Alteration {
                     transmission::lost_blocks(before, share, random, samples);
                 }
             }
+            Self::LostRows => transmission::lost_rows(width, &mut source.shown, random, samples),
+            Self::RowNoise { gray } => transmission::row_noise(width, gray, random, samples),
+            Self::Impulses { share } => transmission::impulses(share, random, samples),
+            Self::DeadLines { count } => transmission::dead_lines(width, count, seed, samples),
             Self::Blocky { quantum } => transmission::blocky(width, quantum, samples),
             Self::ToneMapped => transmission::tone_mapped(image, samples),
             Self::Clipped { at } => {
@@ -210,6 +231,8 @@ struct AlterationSource {
     random: RandomStream,
     /// Running mean of [`Alteration::Ghosting`]; empty before the first image.
     ghost: Vec<f64>,
+    /// The last image of [`Alteration::LostRows`]; empty before the first.
+    shown: Vec<u8>,
     /// Of [`Alteration::DirtyWindow`].
     smears: Vec<f64>,
     /// Centres and radii of drops, pixels.
@@ -231,7 +254,8 @@ impl AlterationSource {
             (x, y, 12.0 + random.below(24) as f64)
         };
         let drops = (0..30).map(drop).collect();
-        Self { seed, originals, motion: TrueMotion::new(clip), random, ghost: Vec::new(), smears, drops }
+        let (ghost, shown) = (Vec::new(), Vec::new());
+        Self { seed, originals, motion: TrueMotion::new(clip), random, ghost, shown, smears, drops }
     }
 }
 

@@ -73,6 +73,49 @@ pub fn dark_sensor(width: usize, light: f64, seed: u64, random: &mut RandomStrea
     }
 }
 
+/// A band of 2 to 13 macroblock rows that was not delivered: it shows what was shown before.
+pub fn lost_rows(width: usize, shown: &mut Vec<u8>, random: &mut RandomStream, samples: &mut [u8]) {
+    const MACROBLOCK: usize = 16;
+    let is_hit = random.below(4) == 0;
+    let rows = samples.len() / width / MACROBLOCK;
+    let (first, count) = (random.below(rows), 2 + random.below(12));
+    if is_hit && !shown.is_empty() {
+        let band = first * MACROBLOCK * width..(first + count).min(rows) * MACROBLOCK * width;
+        samples[band.clone()].copy_from_slice(&shown[band]);
+    }
+    *shown = samples.to_vec();
+}
+
+/// Row noise with a standard deviation in gray levels.
+pub fn row_noise(width: usize, gray: f64, random: &mut RandomStream, samples: &mut [u8]) {
+    for row in samples.chunks_exact_mut(width) {
+        let offset =
+            (0..4).map(|_| random.below(2001) as f64 / 1000.0 - 1.0).sum::<f64>() * 0.5 * 3f64.sqrt() * gray;
+        for sample in row {
+            *sample = (f64::from(*sample) + offset).round().clamp(0.0, 255.0) as u8;
+        }
+    }
+}
+
+/// A share of the pixels is black or white.
+pub fn impulses(share: f64, random: &mut RandomStream, samples: &mut [u8]) {
+    for _ in 0..(share * samples.len() as f64) as usize {
+        let at = random.below(samples.len());
+        samples[at] = if random.below(2) == 0 { 0 } else { 255 };
+    }
+}
+
+/// Black rows and white columns, always the same.
+pub fn dead_lines(width: usize, count: usize, seed: u64, samples: &mut [u8]) {
+    let mut random = RandomStream(seed.wrapping_mul(29).wrapping_add(17) | 1);
+    let height = samples.len() / width;
+    for _ in 0..count {
+        let (row, column) = (random.below(height), random.below(width));
+        samples[row * width..(row + 1) * width].fill(0);
+        samples.iter_mut().skip(column).step_by(width).for_each(|sample| *sample = 255);
+    }
+}
+
 /// Torn images: below a line that wanders, the image before.
 pub fn torn(number: usize, before: &GrayImage, samples: &mut [u8]) {
     let line = (number * 37) % before.height();

@@ -45,6 +45,8 @@ pub struct DenseReference {
 pub struct DenseEstimate {
     /// Pose, covariance and inliers, which are tiles.
     pub estimate: MotionEstimate,
+    /// The tiles, in step with the inliers.
+    pub tracks: Vec<TileTrack>,
     /// Significance of the match, in standard deviations of unrelated images. Below
     /// [`DenseEstimate::LEAST_SCORE`] the images may be unrelated.
     pub score: f64,
@@ -54,6 +56,17 @@ pub struct DenseEstimate {
     pub agreement: f64,
     /// Pyramid level of the last registration.
     pub halvings: usize,
+}
+
+/// A tile found in an image.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct TileTrack {
+    /// Its centre in the reference image.
+    pub reference: Pixel,
+    /// Where it was found.
+    pub pixel: Pixel,
+    /// Covariance of that, pixels².
+    pub covariance_px2: Matrix2<f64>,
 }
 
 impl DenseEstimate {
@@ -212,10 +225,13 @@ impl DenseLevel<'_> {
             .filter(|(_, found)| !is_masked(self.image, found.warp.warp.position, self.plane))
             .collect();
         let gain_and_noise = GainAndNoise::between(&matches)?;
-        let correspondences: Vec<Correspondence> = matches
-            .iter()
-            .filter_map(|(tile, found)| self.correspondence(tile, found, &gain_and_noise))
-            .collect();
+        let found = |(tile, found): &(&Tile, TileMatch)| {
+            let seen = self.correspondence(tile, found, &gain_and_noise)?;
+            let Correspondence { pixel, covariance_px2, .. } = seen;
+            Some((seen, TileTrack { reference: tile.centre, pixel, covariance_px2 }))
+        };
+        let (correspondences, tracks): (Vec<Correspondence>, Vec<TileTrack>) =
+            matches.iter().filter_map(found).unzip();
         let (observations, median_px) = whitened(&correspondences, SHARED_PX2)?;
         let cutoff_px = (CUTOFF_SIGMAS * median_px).max(self.plane.pixels_per_sample);
         let config = MotionConfig { inlier_px: cutoff_px, ..*self.config };
@@ -233,7 +249,8 @@ impl DenseLevel<'_> {
             planar_pose::refine(self.camera, observations, pose, &agreeing, pose, self.prior, &config)?;
         let agreement = estimate.inlier_count() as f64 / matches.len() as f64;
         let overlap = matches.len() as f64 / self.tiles.len() as f64;
-        Some(DenseEstimate { estimate, score: score(&matches), overlap, agreement, halvings: self.halvings })
+        let (score, halvings) = (score(&matches), self.halvings);
+        Some(DenseEstimate { estimate, tracks, score, overlap, agreement, halvings })
     }
 
     /// Measured position of a tile; `None` where its contrast does not match or its Hessian is

@@ -35,6 +35,8 @@ type Samples = [f32; AREA];
 #[derive(Debug, Clone)]
 pub(super) struct Tile {
     pub patch: GroundPatch,
+    /// Its centre in the reference image.
+    pub centre: Pixel,
     /// Samples without their best-fitting plane.
     contrast: Samples,
     /// Gradients along both sides, orthogonal to planes and to the contrast.
@@ -94,7 +96,7 @@ impl Tile {
         }
         let [x, y] = &gradient;
         let (xx, xy, yy) = (dot(x, x), dot(x, y), dot(y, y));
-        Some(Self { patch, contrast, gradient, hessian: Matrix2::new(xx, xy, xy, yy), energy })
+        Some(Self { patch, centre, contrast, gradient, hessian: Matrix2::new(xx, xy, xy, yy), energy })
     }
 
     /// Centre of the tile with its first sample at (`left`, `top`).
