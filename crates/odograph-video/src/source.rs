@@ -84,6 +84,9 @@ pub fn open(path: impl AsRef<Path>, options: &SourceOptions) -> Result<Source> {
 /// Bytes at the start of a file that say its format.
 const MAGIC_BYTES: usize = 64;
 
+/// Frames of a camera in motion are hardly ever as far apart as this, seconds.
+const LONG_INTERVAL_S: f64 = 10.0;
+
 /// Box types at the start of an MP4 or QuickTime file.
 const MP4_STARTS: [&[u8]; 11] =
     [b"ftyp", b"moov", b"mdat", b"wide", b"free", b"skip", b"pnot", b"uuid", b"styp", b"sidx", b"moof"];
@@ -319,6 +322,19 @@ impl Source {
         }
     }
 
+    /// Warns at the end of a recording whose times were probably read in a wrong unit.
+    fn warn_of_long_intervals(&mut self) {
+        let (Some(file), Some(first_s)) = (&self.options.timestamps, self.first_time_s) else { return };
+        let interval_s = (self.last_time_s - first_s) / self.next_number.saturating_sub(1).max(1) as f64;
+        if !self.ended && interval_s > LONG_INTERVAL_S {
+            self.warnings.push(format!(
+                "by {} the frames are {interval_s:.0} s apart, because its numbers are read as seconds; if they are \
+                 milliseconds, divide them by 1000; if they are nanoseconds, begin it with a line `# [ns]`",
+                file.display()
+            ));
+        }
+    }
+
     /// Advances to the next frame that the options select: its number, its time in seconds, and its
     /// picture where that is decoded already.
     fn advance_to_wanted(&mut self) -> Result<Option<(u64, f64, Option<Picture>)>> {
@@ -329,6 +345,7 @@ impl Source {
                     Some(time_s) => (time_s, None),
                     None => {
                         self.warn_of_times_left();
+                        self.warn_of_long_intervals();
                         return Ok(None);
                     }
                 },
