@@ -109,6 +109,11 @@ pub fn is_stream(name: &str) -> bool {
     name.starts_with("rtsp://") || name.starts_with("rtsps://")
 }
 
+/// Whether a path is where Linux has its cameras.
+fn is_video_device(path: &Path) -> bool {
+    path.to_str().is_some_and(|name| name.starts_with("/dev/video"))
+}
+
 pub(crate) fn open_kind(path: &Path, options: &SourceOptions) -> Result<Opened> {
     if let Some(address) = path.to_str().filter(|name| is_stream(name)) {
         return ffmpeg::open_stream(address, options.color);
@@ -120,6 +125,9 @@ pub(crate) fn open_kind(path: &Path, options: &SourceOptions) -> Result<Opened> 
         std::io::ErrorKind::NotFound if path.to_string_lossy().contains("://") => Error::input(
             "this is an address, and recordings are files; odograph live follows cameras at http:// and rtsp://",
         ),
+        std::io::ErrorKind::NotFound if is_video_device(path) => {
+            Error::input("there is no such camera; odograph cameras lists those of this machine")
+        }
         std::io::ErrorKind::NotFound => Error::input("there is no such file or folder"),
         _ => Error::input(format!("cannot be opened: {error}")),
     })?;
@@ -138,6 +146,9 @@ pub(crate) fn open_kind(path: &Path, options: &SourceOptions) -> Result<Opened> 
     #[cfg(unix)]
     if std::os::unix::fs::FileTypeExt::is_socket(&metadata.file_type()) {
         return Err(Error::input("it is a socket, which cannot be opened; give a file or a pipe"));
+    }
+    if is_video_device(path) {
+        return Err(Error::input("this is a camera, not a recording; odograph live follows it"));
     }
     if !metadata.is_file() {
         return open_pipe(pipe::open(path)?, options);
