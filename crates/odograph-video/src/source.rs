@@ -7,6 +7,7 @@ use crate::container::mp4::Mp4Reader;
 use crate::frame::{Frame, Picture};
 use crate::limits;
 use crate::opened::{Frames, Opened};
+use crate::regular_file::check_regular_file;
 use crate::source_options::SourceOptions;
 use crate::timestamps::Timestamps;
 use crate::{bag, ffmpeg, foreign_file, pictures, pipe, video, y4m};
@@ -79,6 +80,27 @@ pub fn open(path: impl AsRef<Path>, options: &SourceOptions) -> Result<Source> {
     open_kind(path, options)
         .and_then(|opened| Source::new(place.clone(), opened, options))
         .map_err(|error| at_place(error, &place))
+}
+
+/// Opens a file that must be one picture, such as a mask.
+///
+/// # Errors
+/// As [`open`], and for everything that is not a picture.
+pub fn open_picture(path: impl AsRef<Path>) -> Result<Source> {
+    let path = path.as_ref();
+    let refused = |why: String| Error::input(why).at(path.display());
+    if path.is_dir() {
+        return Err(refused("this is a folder, not a picture".to_owned()));
+    }
+    let mut start = Vec::new();
+    check_regular_file(path)
+        .and_then(|_| File::open(path)?.take(foreign_file::START_BYTES).read_to_end(&mut start))
+        .map_err(|error| refused(format!("the picture cannot be read: {error}")).caused_by(error))?;
+    if !start.is_empty() && !pictures::is_picture(&start) {
+        let what = foreign_file::name(&start).map_or(String::new(), |what| format!("{what}, "));
+        return Err(refused(format!("this is {what}not a picture")));
+    }
+    open(path, &SourceOptions::default())
 }
 
 /// Bytes at the start of a file that say its format.
