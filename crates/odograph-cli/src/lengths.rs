@@ -97,8 +97,12 @@ pub fn typed(text: &str) -> Result<Typed, String> {
 
 /// A length in metres, and whether its unit was written.
 fn parse(text: &str) -> Result<(f64, bool), String> {
-    length::parse(text)
-        .ok_or_else(|| "give a length as 0.9 (metres), 0.9m, 90cm, 900mm, 3ft or 35in".to_owned())
+    length::parse(text).ok_or_else(|| match text.replace(',', ".") {
+        point if point != text && length::parse(&point).is_some() => {
+            format!("write it with a decimal point, {point}")
+        }
+        _ => "give a length as 0.9 (metres), 0.9m, 90cm, 900mm, 3ft or 35in".to_owned(),
+    })
 }
 
 #[cfg(test)]
@@ -116,6 +120,8 @@ mod tests {
         for text in ["", "cm", "1.2.3", "ninety", "9 0", "1km", "1e"] {
             assert!(metres(text).unwrap_err().contains("90cm"), "{text}");
         }
+        assert!(metres("0,9m").unwrap_err().contains("decimal point, 0.9m"));
+        assert!(metres("1,2,3").unwrap_err().contains("90cm"));
         assert_eq!(in_unit("7", 1e-2), Ok(7.0));
         for (text, last_digit_m) in [("6.2", 0.1), ("6.20", 0.01), ("620cm", 0.01), ("12", 1.0)] {
             let rounding_m = typed(text).unwrap().rounding_m;

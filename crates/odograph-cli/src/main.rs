@@ -111,7 +111,10 @@ impl From<RunEnd> for Outcome {
 
 fn main() -> ExitCode {
     let typed = negative_values::joined(std::env::args_os());
-    let matches = command().try_get_matches_from(&typed);
+    let matches = match tips::one_hyphen(&command(), &typed) {
+        Some(error) => Err(error),
+        None => command().try_get_matches_from(&typed),
+    };
     let arguments = match matches.and_then(|matches| Arguments::from_arg_matches(&matches)) {
         Ok(arguments) => arguments,
         Err(error) => {

@@ -14,6 +14,19 @@ pub fn with_tip(mut error: clap::Error, command: &clap::Command, arguments: &[Os
     error
 }
 
+/// The error of a long option with one hyphen. The parser would take `-output drive` for `-o
+/// utput`, and `-height` for a request for help.
+pub fn one_hyphen(command: &clap::Command, arguments: &[OsString]) -> Option<clap::Error> {
+    let (_, asked) = asked(command, arguments);
+    let is_long = |name: &str| asked.get_opts().any(|option| option.get_long() == Some(name));
+    let before_files = arguments.iter().take_while(|argument| *argument != "--");
+    let mut typed = before_files.filter_map(|argument| argument.to_str());
+    let wrong = typed.find(|argument| argument.strip_prefix('-').is_some_and(is_long))?;
+    let mut error = clap::Error::new(ErrorKind::UnknownArgument).with_cmd(command);
+    error.insert(ContextKind::InvalidArg, ContextValue::String(wrong.to_owned()));
+    Some(error)
+}
+
 fn tip(error: &clap::Error, command: &clap::Command, arguments: &[OsString]) -> Option<String> {
     let context = |kind| match error.get(kind) {
         Some(ContextValue::String(text)) => Some(text.as_str()),
@@ -44,9 +57,7 @@ fn tip(error: &clap::Error, command: &clap::Command, arguments: &[OsString]) -> 
         ErrorKind::UnknownArgument => {
             let unknown = context(ContextKind::InvalidArg)?;
             let has = |long: &str| asked.get_opts().any(|option| option.get_long() == Some(long));
-            let typed = arguments.iter().filter_map(|argument| argument.to_str());
-            let mut single = typed.filter_map(|argument| argument.strip_prefix('-'));
-            if let Some(name) = single.find(|name| has(name) && unknown.strip_prefix('-') == name.get(..1)) {
+            if let Some(name) = unknown.strip_prefix('-').filter(|name| has(name)) {
                 return Some(format!("write it with two hyphens, --{name}"));
             }
             let mut files = arguments.iter().filter(|argument| {
@@ -57,7 +68,7 @@ fn tip(error: &clap::Error, command: &clap::Command, arguments: &[OsString]) -> 
             if let Some(file) = files.next() {
                 return Some(format!("it is a file or folder; write {}", quoted(&Path::new(".").join(file))));
             }
-            if unknown.starts_with("--") && error.get(ContextKind::SuggestedArg).is_none() {
+            if unknown.starts_with('-') && error.get(ContextKind::SuggestedArg).is_none() {
                 let names = names.iter().fold(String::new(), |all, name| format!("{all} {name}"));
                 return Some(format!("odograph{names} -h lists the options"));
             }
@@ -121,13 +132,23 @@ mod tests {
             ("odograph map Cargo.toml", "it is a file or folder; write odograph map info Cargo.toml\n"),
             ("odograph camera Cargo.toml", "write odograph camera show Cargo.toml\n"),
             ("odograph run a.mp4 -camera b.yaml", "write it with two hyphens, --camera\n"),
+            (
+                "odograph run a.mp4 -height 1",
+                "'-height' found\n\n  tip: write it with two hyphens, --height\n",
+            ),
+            ("odograph run a.mp4 -output b", "write it with two hyphens, --output\n"),
             ("odograph localize a.jpg b/map.gpkg", "write --map b/map.gpkg\n"),
             ("odograph undistort a.mp4 b.yaml", "write --camera b.yaml\n"),
             ("odograph board --weather sunny", "tip: odograph board -h lists the options\n"),
+            (
+                "odograph map thin a.gpkg -o b",
+                "'-o' found\n\n  tip: odograph map thin -h lists the options\n",
+            ),
         ] {
             let words: Vec<OsString> = arguments.split(' ').map(OsString::from).collect();
             let command = crate::command();
-            let error = command.clone().try_get_matches_from(&words).unwrap_err();
+            let error = one_hyphen(&command, &words)
+                .unwrap_or_else(|| command.clone().try_get_matches_from(&words).unwrap_err());
             let said = with_tip(error, &command, &words).to_string();
             assert!(said.contains(tip), "{arguments}: {said}");
             assert_eq!(said.matches("tip: ").count(), 1, "{arguments}: {said}");

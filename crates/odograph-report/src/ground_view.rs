@@ -172,14 +172,20 @@ fn losses(frames: &[FrameSummary]) -> Vec<[GroundPoint; 2]> {
     losses
 }
 
-/// A line for each segment, without points that no pixel separates, and its ends.
+/// A line for each stretch without a loss, without points that no pixel separates, and the ends of
+/// the path.
 fn path(mosaic: &ReportMosaic<'_>, frames: &[FrameSummary]) -> String {
     let mut lines: Vec<(u32, Vec<(f64, f64)>)> = vec![];
+    // A loss may end in the segment in which it began, where earlier ground was recognised.
+    let mut lost = false;
     for frame in frames {
-        let Some(place) = &frame.place else { continue };
+        let Some(place) = &frame.place else {
+            lost = true;
+            continue;
+        };
         let at = mosaic.picture.placement.pixel_from_ground(GroundPoint::new(place.x_m, place.y_m));
         match lines.last_mut() {
-            Some((segment, line)) if *segment == frame.segment => {
+            Some((segment, line)) if *segment == frame.segment && !lost => {
                 let last = line[line.len() - 1];
                 if (at.0 - last.0).hypot(at.1 - last.1) > 1.0 {
                     line.push(at);
@@ -187,6 +193,7 @@ fn path(mosaic: &ReportMosaic<'_>, frames: &[FrameSummary]) -> String {
             }
             _ => lines.push((frame.segment, vec![at])),
         }
+        lost = false;
     }
     let mut svg = String::new();
     for class in ["casing", "path"] {

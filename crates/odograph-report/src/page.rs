@@ -58,11 +58,11 @@ fn lead(figures: &RunFigures) -> String {
     let kept = match figures.lost.len() {
         0 => "Every frame was tracked.".into(),
         1 => format!(
-            "Tracking was lost once, for {}; nothing is drawn there.",
+            "Tracking was lost once, for {}; no path is drawn there.",
             duration_text(figures.lost_s())
         ),
         n => format!(
-            "Tracking was lost {n} times, for {} altogether; nothing is drawn there.",
+            "Tracking was lost {n} times, for {} altogether; no path is drawn there.",
             duration_text(figures.lost_s())
         ),
     };

@@ -216,6 +216,11 @@ fn the_path_lies_over_the_ground_it_saw() {
     assert!(lines[0].starts_with("199.5,99.5 "), "{}", lines[0]);
     let right = lines[0].split([' ', ',']).step_by(2).map(|x| x.parse::<f64>().unwrap()).fold(0.0, f64::max);
     assert!((right - 359.5).abs() < 1.0, "{right}");
+    // A loss that ends where earlier ground is recognised begins no segment, and is no path either.
+    let mut bridged = figure_eight(600);
+    bridged.iter_mut().for_each(|frame| frame.segment = 0);
+    let page = report_with(Some(mosaic), &bridged, "drive", &[]);
+    assert!(page.contains(over), "the loss is drawn as a path");
 }
 
 #[test]

@@ -124,7 +124,7 @@ impl RunBuilder {
     }
 
     /// Instead of a camera: width and height of the ground in the image, metres. Height and tilt
-    /// are then taken as constant.
+    /// are then taken as constant; without a mount the camera is as high as the field is wide.
     #[must_use]
     pub fn field_of_view_m(mut self, width_m: f64, height_m: f64) -> Self {
         self.camera = Some(CameraChoice::FieldOfView(width_m, height_m));

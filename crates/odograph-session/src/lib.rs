@@ -37,7 +37,7 @@
 //! | run again exactly | [`RunBuilder::repeating`] with the folder's `run.toml` |
 //! | follow a camera as it moves | the feature `live`, then `RunBuilder::open_live` |
 //! | know what will limit the accuracy, before a run | [`RunBuilder::examine`] |
-//! | run many recordings, on many machines | [`batch::Batch`]
+//! | run many recordings, on many machines | [`batch::Batch`] |
 //! | have an overlay video | [`RunBuilder::video`] |
 //! | have `report.html` and `map.png` | [`RunBuilder::reporter`] with `odograph-report` |
 //!

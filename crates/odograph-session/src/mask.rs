@@ -2,7 +2,6 @@
 
 use odograph::error::{Error, Result};
 use odograph::image::GrayImage;
-use odograph_video::SourceOptions;
 use std::path::Path;
 
 /// Reads a mask in any image format that recordings may have.
@@ -12,8 +11,15 @@ pub fn read(path: &Path) -> Result<GrayImage> {
             Error::input(format!("{} cannot be read: {error}", path.display())).caused_by(error)
         })?;
     }
-    let mut source = odograph_video::open(path.display().to_string(), &SourceOptions::default())?;
-    let frame = source.next_frame()?;
+    let explained = |error: Error| {
+        Error::input(format!(
+            "{error}; a mask is one picture (PNG, JPEG, TIFF, PGM or PPM) of the size of the frames, black where \
+             there is no ground"
+        ))
+        .caused_by(error)
+    };
+    let mut source = odograph_video::open_picture(path).map_err(explained)?;
+    let frame = source.next_frame().map_err(explained)?;
     frame
         .map(|frame| frame.gray)
         .ok_or_else(|| Error::input(format!("{} shows nothing; a mask is one picture", path.display())))

@@ -172,8 +172,9 @@ impl<'a> GivenCamera<'a> {
                 let recorded = recorded_rig(path, topic.as_deref(), Some(*height_m), observer)?;
                 Ok(recorded.unwrap_or(level))
             }
-            // The field of view already gives the scale; any height gives the same path.
-            (None, Self::Field(_)) => Ok(Rig::level(1.0)),
+            // The field of view already gives the scale. The height is that of a lens of 53°: from
+            // a fixed height a field of 120 m would be seen by a lens that cannot be tracked.
+            (None, Self::Field((width_m, _))) => Rig::level(*width_m).validated(),
             (None, Self::Map(map)) => Ok(*map.rig()),
             (None, Self::File(..) | Self::Known(_) | Self::Recording(_)) => {
                 let SourcePlan { path, topic, .. } = &builder.source;

@@ -47,6 +47,10 @@ impl RunBuilder {
                 false => format!("{shown} is the recording itself; its results need a folder (-o)"),
             }));
         }
+        // Results go beside their recording: a source that is not there would become their folder.
+        if Path::new(&self.source.path) == path && !path.exists() {
+            self.source.open()?;
+        }
         // What a killed run has left is not touched before its source can be read.
         let resumed = match &self.resumed {
             Some(plan) => Some((plan.as_ref().clone(), plan.source.open()?)),

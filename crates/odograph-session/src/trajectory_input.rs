@@ -28,6 +28,13 @@ pub fn read_trajectory(
     times_s: Option<&[f64]>,
 ) -> Result<LoadedTrajectory> {
     let text = read_trajectory_text(path)?;
+    if format.is_none() && text.starts_with("frame,time_s,") {
+        return Err(Error::input(format!(
+            "{} is the table of a run; its path is {}",
+            path.display(),
+            path.with_extension("tum").display()
+        )));
+    }
     let parse = || {
         let format = match format {
             Some(format) => format,

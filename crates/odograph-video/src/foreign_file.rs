@@ -16,6 +16,11 @@ pub(crate) fn check(start: &[u8]) -> Result<()> {
     Err(Error::input(format!("this is {what}, not a recording; {}", remedy.unwrap_or(WHAT_TO_GIVE))))
 }
 
+/// What a file with these first bytes is, where that is known and it is not a recording.
+pub(crate) fn name(start: &[u8]) -> Option<&'static str> {
+    kind(start).map(|(what, _)| what)
+}
+
 /// What the file is, and what to do unless that is [`WHAT_TO_GIVE`]. `None`: it may be a recording.
 fn kind(start: &[u8]) -> Option<(&'static str, Option<&'static str>)> {
     let unpack = Some("unpack it and give what is in it");

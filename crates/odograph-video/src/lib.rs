@@ -69,6 +69,6 @@ pub use pipe::end_waiting;
 pub use recorded_camera::RecordedCamera;
 pub use regular_file::{check_regular_file, read_regular_file};
 pub use samples::SampleLayout;
-pub use source::{Source, SourceInfo, is_stream, open};
+pub use source::{Source, SourceInfo, is_stream, open, open_picture};
 pub use source_options::SourceOptions;
 pub use temporary::TemporaryFolder;

@@ -7,6 +7,7 @@ use crate::container::mp4::Mp4Reader;
 use crate::frame::{Frame, Picture};
 use crate::limits;
 use crate::opened::{Frames, Opened};
+use crate::regular_file::check_regular_file;
 use crate::source_options::SourceOptions;
 use crate::timestamps::Timestamps;
 use crate::{bag, ffmpeg, foreign_file, pictures, pipe, video, y4m};
@@ -81,8 +82,32 @@ pub fn open(path: impl AsRef<Path>, options: &SourceOptions) -> Result<Source> {
         .map_err(|error| at_place(error, &place))
 }
 
+/// Opens a file that must be one picture, such as a mask.
+///
+/// # Errors
+/// As [`open`], and for everything that is not a picture.
+pub fn open_picture(path: impl AsRef<Path>) -> Result<Source> {
+    let path = path.as_ref();
+    let refused = |why: String| Error::input(why).at(path.display());
+    if path.is_dir() {
+        return Err(refused("this is a folder, not a picture".to_owned()));
+    }
+    let mut start = Vec::new();
+    check_regular_file(path)
+        .and_then(|_| File::open(path)?.take(foreign_file::START_BYTES).read_to_end(&mut start))
+        .map_err(|error| refused(format!("the picture cannot be read: {error}")).caused_by(error))?;
+    if !start.is_empty() && !pictures::is_picture(&start) {
+        let what = foreign_file::name(&start).map_or(String::new(), |what| format!("{what}, "));
+        return Err(refused(format!("this is {what}not a picture")));
+    }
+    open(path, &SourceOptions::default())
+}
+
 /// Bytes at the start of a file that say its format.
 const MAGIC_BYTES: usize = 64;
+
+/// Frames of a camera in motion are hardly ever as far apart as this, seconds.
+const LONG_INTERVAL_S: f64 = 10.0;
 
 /// Box types at the start of an MP4 or QuickTime file.
 const MP4_STARTS: [&[u8]; 11] =
@@ -106,6 +131,11 @@ pub fn is_stream(name: &str) -> bool {
     name.starts_with("rtsp://") || name.starts_with("rtsps://")
 }
 
+/// Whether a path is where Linux has its cameras.
+fn is_video_device(path: &Path) -> bool {
+    path.to_str().is_some_and(|name| name.starts_with("/dev/video"))
+}
+
 pub(crate) fn open_kind(path: &Path, options: &SourceOptions) -> Result<Opened> {
     if let Some(address) = path.to_str().filter(|name| is_stream(name)) {
         return ffmpeg::open_stream(address, options.color);
@@ -117,6 +147,9 @@ pub(crate) fn open_kind(path: &Path, options: &SourceOptions) -> Result<Opened> 
         std::io::ErrorKind::NotFound if path.to_string_lossy().contains("://") => Error::input(
             "this is an address, and recordings are files; odograph live follows cameras at http:// and rtsp://",
         ),
+        std::io::ErrorKind::NotFound if is_video_device(path) => {
+            Error::input("there is no such camera; odograph cameras lists those of this machine")
+        }
         std::io::ErrorKind::NotFound => Error::input("there is no such file or folder"),
         _ => Error::input(format!("cannot be opened: {error}")),
     })?;
@@ -135,6 +168,9 @@ pub(crate) fn open_kind(path: &Path, options: &SourceOptions) -> Result<Opened> 
     #[cfg(unix)]
     if std::os::unix::fs::FileTypeExt::is_socket(&metadata.file_type()) {
         return Err(Error::input("it is a socket, which cannot be opened; give a file or a pipe"));
+    }
+    if is_video_device(path) {
+        return Err(Error::input("this is a camera, not a recording; odograph live follows it"));
     }
     if !metadata.is_file() {
         return open_pipe(pipe::open(path)?, options);
@@ -319,6 +355,19 @@ impl Source {
         }
     }
 
+    /// Warns at the end of a recording whose times were probably read in a wrong unit.
+    fn warn_of_long_intervals(&mut self) {
+        let (Some(file), Some(first_s)) = (&self.options.timestamps, self.first_time_s) else { return };
+        let interval_s = (self.last_time_s - first_s) / self.next_number.saturating_sub(1).max(1) as f64;
+        if !self.ended && interval_s > LONG_INTERVAL_S {
+            self.warnings.push(format!(
+                "by {} the frames are {interval_s:.0} s apart, because its numbers are read as seconds; if they are \
+                 milliseconds, divide them by 1000; if they are nanoseconds, begin it with a line `# [ns]`",
+                file.display()
+            ));
+        }
+    }
+
     /// Advances to the next frame that the options select: its number, its time in seconds, and its
     /// picture where that is decoded already.
     fn advance_to_wanted(&mut self) -> Result<Option<(u64, f64, Option<Picture>)>> {
@@ -329,6 +378,7 @@ impl Source {
                     Some(time_s) => (time_s, None),
                     None => {
                         self.warn_of_times_left();
+                        self.warn_of_long_intervals();
                         return Ok(None);
                     }
                 },

@@ -132,6 +132,12 @@ fn recorded(stream: &Stream) -> Option<&RecordedCamera> {
     }
 }
 
+/// Whether a robot recording has the height of the camera with these images.
+fn has_height(file: &str, topic: Option<&str>) -> bool {
+    let mount = topic.map(|topic| odograph_video::recorded_mount(file, Some(topic)));
+    mount.is_some_and(|mount| mount.is_ok_and(|mount| mount.is_some_and(|mount| mount.height_m.is_some())))
+}
+
 fn json(file: &str, contents: &Contents, fits: &[Option<CameraFit>]) -> Result<String> {
     let streams = contents.streams.iter().zip(fits).map(|(stream, camera_fits)| StreamJson {
         topic: stream.topic.as_deref(),
@@ -223,18 +229,20 @@ fn notes(
     let given = option(stream);
     match (&stream.usable_as, given) {
         (StreamUse::Frames(_), Some(option)) => {
-            // The height is not asked of robot recordings, which may have the mount.
-            let missing = match (stream.topic.is_some(), profile, camera) {
-                (true, ..) => String::new(),
-                (false, Some(profile), _) => format!("--profile {profile}"),
-                (false, None, Some(camera)) => format!("--camera {} --height LENGTH", quoted(camera)),
-                (false, None, None) => "--camera FILE --height LENGTH".to_owned(),
+            let topic = stream.topic.as_deref();
+            let height = if has_height(file, topic) { "" } else { " --height LENGTH" };
+            let missing = match (profile, camera) {
+                (Some(profile), _) => format!(" --profile {profile}"),
+                (None, Some(camera)) => format!(" --camera {}{height}", quoted(camera)),
+                (None, None) if recorded(stream).is_some() => height.to_owned(),
+                (None, None) => format!(" --camera FILE{height}"),
             };
             let file = quoted(Path::new(file));
-            notes.push(if stream.count == 1 && stream.topic.is_none() {
+            notes.push(if stream.count == 1 && topic.is_none() {
                 format!("odograph localize {file} --map FILE")
             } else {
-                format!("odograph run {file} {option}{missing}").trim_end().to_owned()
+                let option = if option.is_empty() { option } else { format!(" {option}") };
+                format!("odograph run {file}{option}{missing}")
             });
             match (recorded(stream), stream.topic.is_some()) {
                 (Some(RecordedCamera { topic, rectified, .. }), _) => {

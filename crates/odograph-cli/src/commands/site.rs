@@ -220,21 +220,23 @@ impl RobotLink {
 /// Says what became of a robot's records.
 fn tell(report: &LinkReport) {
     let Some(status) = &report.status else { return };
+    let taken = match report.acknowledged {
+        0 if report.complete => "the site had all records already".to_owned(),
+        1 => "the site took 1 record".to_owned(),
+        records => format!("the site took {records} records"),
+    };
     console::note(&match (status, status.map_from_odom) {
         (SiteStatus { reason: Some(reason), state, .. }, _) if !state.is_merged() => {
             format!("this robot is {} by the site: {reason}", state.name())
         }
         (_, Some(place)) => format!(
-            "the site has {} records; its map from this odometry: x {:.3} m, y {:.3} m, heading {:.2}°, scale {:.4}",
-            report.acknowledged,
+            "{taken}; its map from this odometry: x {:.3} m, y {:.3} m, heading {:.2}°, scale {:.4}",
             Rounded(place.x_m),
             Rounded(place.y_m),
             Rounded(place.heading_rad.to_degrees()),
             place.scale
         ),
-        (_, None) => {
-            format!("the site has {} records; it has not recognised where they are yet", report.acknowledged)
-        }
+        (_, None) => format!("{taken}; it has not recognised where they are yet"),
     });
 }
 

@@ -278,6 +278,9 @@ fn the_mount_is_taken_from_the_transforms_of_a_recording() {
         ),
         "{message}"
     );
+    // The height is in the recording, so that `info` asks for nothing.
+    let (text, _) = done(here, "info robot.mcap");
+    assert!(text.contains("    odograph run robot.mcap --topic /front/image_raw\n"), "{text}");
     done(here, "run robot.mcap --frame camera -o camera --quiet");
     let (robot_poses, camera) =
         (poses(&here.join("robot/trajectory.tum")), poses(&here.join("camera/trajectory.tum")));
@@ -409,13 +412,18 @@ fn info_tells_what_is_in_a_recording_and_what_for() {
     for words in [
         "drive.mcap: an MCAP file, 3 topics\n",
         "/front/image_raw  sensor_msgs/msg/Image, 320x240 mono8, 40 frames, 1.30 s, 30.00 Hz\n",
-        "    odograph run drive.mcap --topic /front/image_raw\n",
+        "    odograph run drive.mcap --topic /front/image_raw --camera camera.yaml --height LENGTH\n",
         "    its camera is in /front/camera_info\n",
         "    the camera file fits\n",
         "    odograph run … --range-topic /sonar\n",
     ] {
         assert!(text.contains(words), "{words}: {text}");
     }
+    let (text, _) = done(here, "info drive.mcap");
+    assert!(
+        text.contains("    odograph run drive.mcap --topic /front/image_raw --height LENGTH\n"),
+        "{text}"
+    );
     let (json, _) = done(here, "info drive.mcap --json");
     let value: serde_json::Value = serde_json::from_str(&json).unwrap();
     let images = &value["streams"][1];

@@ -15,6 +15,15 @@ fn done(folder: &Path, arguments: &str) {
     assert!(output.status.success(), "{arguments}: {}", String::from_utf8_lossy(&output.stderr));
 }
 
+/// A Y4M recording, cut after this many frames.
+fn first_frames(recording: &Path, count: usize) -> Vec<u8> {
+    let mut bytes = fs::read(recording).unwrap();
+    let header = bytes.iter().position(|&byte| byte == b'\n').unwrap() + 1;
+    let frame = bytes[header..].windows(5).skip(1).position(|word| word == b"FRAME").unwrap() + 1;
+    bytes.truncate(header + count * frame);
+    bytes
+}
+
 #[test]
 fn a_folder_of_videos_gives_the_results_of_single_runs() {
     let place = tempfile::tempdir().unwrap();
@@ -49,6 +58,12 @@ fn a_folder_of_videos_gives_the_results_of_single_runs() {
     let figures: serde_json::Value = serde_json::from_slice(&some.stdout).unwrap();
     assert!(figures[0]["error"].is_string() && figures[1]["statistics"]["frames"] == 21, "{figures}");
     assert!(here.join("some/one/trajectory.tum").is_file() && !here.join("some/broken").exists());
+
+    // An error that names its recording is told as it is.
+    fs::write(here.join("one.y4m"), first_frames(&here.join("videos/one.y4m"), 1)).unwrap();
+    let short = odograph(here, &format!("run one.y4m broken.mp4 {camera} -o short --quiet"));
+    let message = String::from_utf8_lossy(&short.stderr).into_owned();
+    assert!(message.contains("error: one.y4m has only one frame; "), "{message}");
 
     // Where none can be followed there is no folder.
     let none = odograph(here, &format!("run broken.mp4 none.mp4 {camera} -o none"));

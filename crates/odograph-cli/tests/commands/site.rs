@@ -71,7 +71,9 @@ fn two_runs_share_the_map_of_a_site_that_was_killed() {
     assert_eq!(output.status.code(), Some(3));
     let serving = Serving::new(folder, url.trim_start_matches("http://").trim_end_matches('/'));
     done(folder, &format!("live {run} -o two --site {url} --robot two"));
-    done(folder, &format!("site send two/map.gpkg --site {url} --robot two"));
+    let sent = done(folder, &format!("site send two/map.gpkg --site {url} --robot two"));
+    let told = String::from_utf8(sent.stderr).unwrap();
+    assert!(told.starts_with("note: the site had all records already; "), "{told}");
     // The merging thread may still be at it; what it has not merged it merges when it starts again.
     let connected = || {
         let state = done(folder, &format!("site robots --site {url} --json"));

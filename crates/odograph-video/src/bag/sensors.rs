@@ -105,9 +105,12 @@ fn each(
     else {
         let others: Vec<&str> =
             recording.topics().iter().filter(fits).map(|topic| topic.name.as_str()).collect();
-        let others = if others.is_empty() { "none".to_owned() } else { others.join(", ") };
+        let others = match others.as_slice() {
+            [] => "the recording has no topic of this type".to_owned(),
+            _ => format!("topics of this type are: {}", others.join(", ")),
+        };
         return Err(Error::usage(format!(
-            "there is no topic {name} of the type {type_name} for a {sensor}; of this type there are: {others}"
+            "there is no topic {name} of the type {type_name} for a {sensor}; {others}"
         )));
     };
     recording.select(&|other| other.name == topic.name && other.type_name == topic.type_name);

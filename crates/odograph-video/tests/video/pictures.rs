@@ -107,6 +107,24 @@ fn timestamps_files_in_every_format() {
 }
 
 #[test]
+fn times_in_milliseconds_are_questioned() {
+    let folder = folder(&[
+        ("a.png", gray_png(1)),
+        ("b.png", gray_png(2)),
+        ("c.png", gray_png(3)),
+        ("ms.txt", b"0\n33\n67\n".to_vec()),
+        ("s.txt", b"0\n1\n2\n".to_vec()),
+    ]);
+    let warnings = |name: &str| {
+        let timestamps = Some(folder.path().join(name));
+        read(folder.path(), &SourceOptions { timestamps, ..SourceOptions::default() }).unwrap().1
+    };
+    let doubts = warnings("ms.txt");
+    assert!(doubts.len() == 1 && doubts[0].contains("the frames are 34 s apart"), "{doubts:?}");
+    assert!(warnings("s.txt").is_empty());
+}
+
+#[test]
 fn euroc_layout_and_timestamps_in_file_names() {
     let folder = folder(&[
         (

@@ -262,8 +262,10 @@ fn described(info: &MapInfo, checked: bool) -> String {
     );
     let _ = writeln!(
         text,
-        "edges      {} odometry, {} gaps, {} loops",
-        info.odometry_edges, info.gap_edges, info.loop_edges
+        "edges      {} odometry, {}, {}",
+        info.odometry_edges,
+        counted(info.gap_edges, "gap"),
+        counted(info.loop_edges, "loop")
     );
     if let Some([left, bottom, right, top]) = info.extent_m.map(|ends| ends.map(Rounded)) {
         let _ = writeln!(text, "extent     x {left:.2} to {right:.2} m, y {bottom:.2} to {top:.2} m");

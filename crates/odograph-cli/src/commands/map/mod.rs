@@ -24,6 +24,7 @@ enum MapCommand {
     Merge(merge::MergeArguments),
     Export(export::ExportArguments),
     Mosaic(mosaic::MosaicArguments),
+    #[command(alias = "optimise")]
     Optimize(optimize::OptimizeArguments),
     Thin(thin::ThinArguments),
     Repair(repair::RepairArguments),

@@ -163,6 +163,7 @@ fn field_of_view(text: &str) -> std::result::Result<FieldOfView, String> {
             Ok(FieldOfView { width_m, height_m, has_unit })
         }
         Some(_) => Err("width and height are each between 1 µm and 10 km".to_owned()),
+        _ if text.contains(',') => Err(format!("write it with decimal points, {}", text.replace(',', "."))),
         _ => Err("give width and height, as 1.20x0.90 (metres), 120x90cm or 120cmx90cm".to_owned()),
     }
 }

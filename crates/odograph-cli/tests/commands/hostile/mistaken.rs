@@ -6,7 +6,7 @@ use std::fs;
 use std::process::{Command, Stdio};
 
 /// Call, exit code, and what its message contains.
-const CALLS: [(&str, i32, &str); 30] = [
+const CALLS: [(&str, i32, &str); 37] = [
     (
         "ground ran --camera camera.yaml --height 1 -o r.toml",
         3,
@@ -25,6 +25,11 @@ const CALLS: [(&str, i32, &str); 30] = [
     ("localize drive.y4m --map ran", 3, "its map is ran/map.gpkg"),
     ("run drive.y4m --camera camera.yaml --height 1 --map ran -o out", 3, "its map is ran/map.gpkg"),
     ("evaluate ran ran/trajectory.tum", 3, "ran is the folder of a run; its path is ran/trajectory.tum"),
+    (
+        "evaluate ran/trajectory.csv ran/trajectory.tum",
+        3,
+        "ran/trajectory.csv is the table of a run; its path is ran/trajectory.tum\n",
+    ),
     (
         "run drive.y4m --camera camera.yaml --height 1 --map letter -o out",
         3,
@@ -50,6 +55,21 @@ const CALLS: [(&str, i32, &str); 30] = [
         3,
         "letter: this is a text file, not a recording; give a video",
     ),
+    (
+        "run drive.y4m --camera camera.yaml --height 1 --mask letter -o out",
+        3,
+        "letter: this is a text file, not a picture; a mask is one picture (PNG, JPEG, TIFF, PGM or PPM) of the size",
+    ),
+    (
+        "run drive.y4m --camera camera.yaml --height 1 --mask films -o out",
+        3,
+        "films: this is a folder, not a picture; a mask is one picture",
+    ),
+    (
+        "doctor drive.y4m --camera camera.yaml --height 1 --mask drive.y4m",
+        3,
+        "drive.y4m: this is not a picture; a mask is one picture",
+    ),
     ("run rig.toml", 3, "rig.toml is a rig file, not the run.toml of a run; give it with --rig"),
     ("run dot.y4m --field-of-view 1x1 -o out", 3, "the frames of dot.y4m are 1x1 pixels, too small"),
     ("doctor dot.y4m --field-of-view 1x1", 3, "the frames of dot.y4m are 1x1 pixels, too small"),
@@ -64,6 +84,14 @@ const CALLS: [(&str, i32, &str); 30] = [
         "run http://cart/video --camera camera.yaml --height 1 -o out",
         3,
         "this is an address, and recordings are files; odograph live",
+    ),
+    // Without -o: the results would go to a folder of that name.
+    ("run http://cart/video --camera camera.yaml --height 1", 3, "this is an address, and recordings are"),
+    ("run none --camera camera.yaml --height 1", 3, "none: there is no such file or folder\n"),
+    (
+        "run /dev/video99 --camera camera.yaml --height 1",
+        3,
+        "/dev/video99: there is no such camera; odograph",
     ),
     (
         "live 0 --camera camera.yaml --height 1 -o out",
@@ -98,7 +126,7 @@ fn a_mistaken_file_is_named_with_what_to_give_instead() {
         let message = String::from_utf8_lossy(&done.stderr);
         assert_eq!(done.status.code(), Some(code), "{call}: {message}");
         assert!(message.contains(words) && message.lines().count() == 1, "{call}: {message}");
-        for name in ["out", "u", "c.yaml", "r.toml"] {
+        for name in ["out", "u", "c.yaml", "r.toml", "http:", "none"] {
             assert!(!place.path(name).exists(), "{call} left {name}");
         }
     }

@@ -145,10 +145,12 @@ impl Work<'_> {
     fn turn(&self, index: usize, threads: usize, shared: &Shared) -> Turned {
         let recording = self.own[index];
         let failed = |error: Error| {
-            let place = format!("{}: ", recording.source);
             // Most errors name the recording themselves.
-            let place = if error.to_string().starts_with(&place) { "" } else { &place };
-            shared.bar.suspend(|| console::failure(place, &error));
+            let said = error.to_string();
+            let is_named =
+                said.strip_prefix(&recording.source).is_some_and(|rest| rest.starts_with([':', ' ']));
+            let place = if is_named { String::new() } else { format!("{}: ", recording.source) };
+            shared.bar.suspend(|| console::failure(&place, &error));
             Turned::End(End::Failed(error))
         };
         let attempt = match self.batch.turn(recording) {
