@@ -70,7 +70,8 @@ impl Odometry {
     /// Why a frame was lost, as far as the image itself shows; otherwise what the measurement said.
     pub(super) fn cause(&self, pyramid: &Pyramid, bare: bool, reason: LossReason) -> LossReason {
         match (&self.keyframe, reason) {
-            _ if bare && texture::is_dark(pyramid.base()) => LossReason::Dark,
+            // Some ground may show through the noise; the light is what is missing.
+            _ if texture::is_dark(pyramid.base()) => LossReason::Dark,
             _ if bare => LossReason::Bare,
             (Some(keyframe), LossReason::Jump | LossReason::NotPlanar)
                 if texture::is_blurred(pyramid, &keyframe.pyramid) =>

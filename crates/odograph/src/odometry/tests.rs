@@ -389,6 +389,14 @@ fn a_loss_says_its_cause() {
     let lost = |reason| vec![TrackStatus::Lost { reason }; 2];
     assert_eq!(cause(even(2)), lost(LossReason::Dark));
     assert_eq!(cause(even(120)), lost(LossReason::Bare));
+    // Other ground with a fiftieth of the light.
+    let dim = |world: &World, i: u64| {
+        let mut image = world.image(at(30.0 + 0.3 * i as f64, 9.0, 0.4 * i as f64), i);
+        let mut random = Random::new(i);
+        image.samples_mut().iter_mut().for_each(|sample| *sample = *sample / 50 + random.below(7) as u8);
+        image
+    };
+    assert_eq!(cause(dim), lost(LossReason::Dark));
     // A cut to other ground.
     let elsewhere = |world: &World, i: u64| world.image(at(30.0 + 0.3 * i as f64, 9.0, 0.4 * i as f64), i);
     assert_eq!(cause(elsewhere), lost(LossReason::Jump));

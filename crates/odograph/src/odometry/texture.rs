@@ -117,7 +117,7 @@ const LEAST_TEXTURE_GRAY: f64 = 0.13;
 /// Correlation below this many standard deviations of chance is chance.
 const CERTAIN: f64 = 8.0;
 
-/// Whether an image is bare for want of light.
+/// Whether an image has hardly any light.
 pub fn is_dark(image: &GrayImage) -> bool {
     const DARK_GRAY: u64 = 24;
     let sum: u64 = image.samples().iter().map(|&sample| u64::from(sample)).sum();
