@@ -5,8 +5,8 @@
 //! the scene (J. Harris and Y.-M. Chiang, "Nonuniformity correction of infrared image sequences
 //! using the constant-statistics constraint", IEEE Transactions on Image Processing 8 (8), 1999).
 //! Of the scene itself, 1/n is left in the mean of n independent images, less where its variance
-//! explains the mean (W. James and C. Stein, "Estimation with quadratic loss", 1961). A pixel that does not vary
-//! at all is dead, and takes the mean of its neighbours.
+//! explains the mean (W. James and C. Stein, "Estimation with quadratic loss", 1961). A pixel that
+//! does not vary at all is dead, and takes the mean of its neighbours.
 
 use crate::image::GrayImage;
 
@@ -23,11 +23,11 @@ pub struct NonuniformityCorrection {
     dead: Vec<DeadPixel>,
 }
 
-/// A pixel that shows the same whatever the camera looks at, with pixels beside it that do not.
+/// A pixel that shows the same whatever the camera looks at, between pixels that do not.
 #[derive(Debug, Clone, Copy, PartialEq)]
 struct DeadPixel {
     index: u32,
-    /// Indices of its neighbours; the same twice where there is only one.
+    /// Indices of its neighbours on opposite sides.
     beside: [u32; 2],
 }
 
@@ -124,8 +124,7 @@ impl NonuniformityCorrection {
             let opposite = |step: isize| {
                 let directions = [(step, 0), (0, step), (step, step), (step, -step)];
                 let both = |(dx, dy)| Some([healthy((dx, dy))?, healthy((-dx, -dy))?]);
-                let one = |(dx, dy)| healthy((dx, dy)).or(healthy((-dx, -dy))).map(|at| [at, at]);
-                directions.into_iter().find_map(both).or(directions.into_iter().find_map(one))
+                directions.into_iter().find_map(both)
             };
             let Some(beside) = (1..=DEAD_REACH).find_map(opposite) else { continue };
             self.offsets[index] = 0;
@@ -135,14 +134,11 @@ impl NonuniformityCorrection {
 
     /// Subtracts the pattern from an image of the same camera, as strong as it is there.
     pub fn apply(&self, image: &mut GrayImage) {
-        let strength = (f64::from(ONE) * self.strength(image)).round() as i32;
+        self.replace_dead_pixels(image);
+        let strength = (f64::from(ONE) * self.strength_beside_dead(image)).round() as i32;
         for (sample, &offset) in image.samples_mut().iter_mut().zip(&self.offsets) {
             let pattern = (strength * i32::from(offset) + ONE / 2) >> ONE.ilog2();
             *sample = (i32::from(*sample) - pattern).clamp(0, 255) as u8;
-        }
-        let samples = image.samples_mut();
-        for DeadPixel { index, beside: [a, b] } in &self.dead {
-            samples[*index as usize] = samples[*a as usize].midpoint(samples[*b as usize]);
         }
     }
 
@@ -150,6 +146,23 @@ impl NonuniformityCorrection {
     /// images from before it came up. The regression of the image's horizontal differences on those
     /// of the pattern: ground has nothing in common with it.
     pub fn strength(&self, image: &GrayImage) -> f64 {
+        if self.dead.is_empty() {
+            return self.strength_beside_dead(image);
+        }
+        let mut image = image.clone();
+        self.replace_dead_pixels(&mut image);
+        self.strength_beside_dead(&image)
+    }
+
+    fn replace_dead_pixels(&self, image: &mut GrayImage) {
+        let samples = image.samples_mut();
+        for DeadPixel { index, beside: [a, b] } in &self.dead {
+            samples[*index as usize] = samples[*a as usize].midpoint(samples[*b as usize]);
+        }
+    }
+
+    /// The strength of the pattern in an image whose dead pixels have been replaced.
+    fn strength_beside_dead(&self, image: &GrayImage) -> f64 {
         let (mut common, mut squares) = (0i64, 0i64);
         let rows = self.offsets.chunks_exact(image.width().max(1)).enumerate().step_by(STRENGTH_ROWS);
         for (y, pattern) in rows {

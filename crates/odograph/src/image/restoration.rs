@@ -1,4 +1,5 @@
-//! Restoration of images whose defects can be seen in the image itself.
+//! Restoration of images whose defects can be seen in the image itself. Derivation:
+//! `docs/math/image-restoration.md`.
 
 use super::GrayImage;
 use super::impulse_noise::{has_impulse_noise, remove_impulse_noise};

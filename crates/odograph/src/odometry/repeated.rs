@@ -25,8 +25,8 @@ const AT_REST_PX: f64 = 0.5;
 /// Over a longer freeze, frames, no motion goes on.
 const LONGEST_FREEZE: usize = 60;
 
-/// Motion since the last frame, pixels, from which a part of an image that has not changed at all is
-/// a copy: of a camera that stands, codecs copy whole regions.
+/// Motion since the last frame, pixels, from which a part of an image that has not changed at all
+/// is a copy: of a camera that stands, codecs copy whole regions.
 const MOVES_PX: f64 = 2.0;
 
 impl Odometry {
