@@ -28,7 +28,7 @@ pub fn stale_blocks(image: &GrayImage, before: &GrayImage) -> Option<ImageMask> 
     }
     let (columns, rows) = cells(size);
     let (across, down) = (size.0 / BLOCK_PX, size.1 / BLOCK_PX);
-    let mut stale = vec![false; columns * rows];
+    let mut stale = Vec::new(); // allocated where something is found
     let mut count = 0;
     for row in 0..down {
         let mut run = 0;
@@ -39,6 +39,7 @@ pub fn stale_blocks(image: &GrayImage, before: &GrayImage) -> Option<ImageMask> 
             }
             if run >= LEAST_RUN {
                 count += run;
+                stale.resize(columns * rows, false);
                 for cells in stale.chunks_exact_mut(columns).skip(row * BLOCK_CELLS).take(BLOCK_CELLS) {
                     cells[(column - run) * BLOCK_CELLS..column * BLOCK_CELLS].fill(true);
                 }

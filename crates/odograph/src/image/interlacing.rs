@@ -10,6 +10,10 @@ use crate::numerics::median;
 #[derive(Debug, Clone, Default)]
 pub struct Interlacing {
     combed: u32,
+    /// Reusable memory: per compared row, the squared differences from the next and the second row,
+    /// and their sums.
+    differences: Vec<[f64; 2]>,
+    sums: Vec<f64>,
 }
 
 /// Ratio of the squared differences between rows next to each other and two apart from which an
@@ -27,7 +31,7 @@ impl Interlacing {
     /// Whether the recording is interlaced, as its images up to this one show.
     pub fn look(&mut self, image: &GrayImage) -> bool {
         if !self.is_found() {
-            self.combed = if is_combed(image) { self.combed + 1 } else { 0 };
+            self.combed = if self.is_combed(image) { self.combed + 1 } else { 0 };
         }
         self.is_found()
     }
@@ -36,26 +40,28 @@ impl Interlacing {
     pub fn is_found(&self) -> bool {
         self.combed >= SURE
     }
-}
 
-fn is_combed(image: &GrayImage) -> bool {
-    let difference = |a: &[u8], b: &[u8]| -> f64 {
-        a.iter().zip(b).map(|(&a, &b)| (i32::from(a) - i32::from(b)).pow(2) as u64).sum::<u64>() as f64
-    };
-    let rows = (0..image.height().saturating_sub(2)).step_by(EVERY);
-    let of_row = |y| [1, 2].map(|apart| difference(image.row(y), image.row(y + apart)));
-    // Rows of a black border say nothing, and a row counts no more than the median row: a few that
-    // differ from all others, as those of a broken sensor do, are no second field.
-    let differences: Vec<[f64; 2]> = rows.map(of_row).filter(|[next, second]| next + second > 0.0).collect();
-    let mut sums: Vec<f64> = differences.iter().map(|[next, second]| next + second).collect();
-    let Some(most) = median(&mut sums) else { return false };
-    let (mut next, mut second) = (0.0, 0.0);
-    for [to_next, to_second] in differences {
-        let weight = (most / (to_next + to_second)).min(1.0);
-        next += weight * to_next;
-        second += weight * to_second;
+    fn is_combed(&mut self, image: &GrayImage) -> bool {
+        let difference = |a: &[u8], b: &[u8]| -> f64 {
+            a.iter().zip(b).map(|(&a, &b)| (i32::from(a) - i32::from(b)).pow(2) as u64).sum::<u64>() as f64
+        };
+        let rows = (0..image.height().saturating_sub(2)).step_by(EVERY);
+        let of_row = |y| [1, 2].map(|apart| difference(image.row(y), image.row(y + apart)));
+        // Rows of a black border say nothing, and a row counts no more than the median row: a few
+        // that differ from all others, as those of a broken sensor do, are no second field.
+        self.differences.clear();
+        self.differences.extend(rows.map(of_row).filter(|[next, second]| next + second > 0.0));
+        self.sums.clear();
+        self.sums.extend(self.differences.iter().map(|[next, second]| next + second));
+        let Some(most) = median(&mut self.sums) else { return false };
+        let (mut next, mut second) = (0.0, 0.0);
+        for [to_next, to_second] in &self.differences {
+            let weight = (most / (to_next + to_second)).min(1.0);
+            next += weight * to_next;
+            second += weight * to_second;
+        }
+        next > COMBED * second
     }
-    next > COMBED * second
 }
 
 /// The image of the time of the even rows: odd rows are the mean of their neighbours.

@@ -4,7 +4,7 @@
 use super::GrayImage;
 use super::impulse_noise::{has_impulse_noise, remove_impulse_noise};
 use super::interlacing::{Interlacing, even_field};
-use super::row_noise::{has_row_noise, remove_row_noise};
+use super::row_noise::{RowNoise, remove_row_noise};
 
 /// What is wrong with the images of a recording.
 #[derive(Debug, Clone, Copy, Default, PartialEq, Eq)]
@@ -24,6 +24,7 @@ pub struct ImageDefects {
 pub struct Restoration {
     images: u64,
     interlacing: Interlacing,
+    row_noise: RowNoise,
     found: ImageDefects,
 }
 
@@ -36,7 +37,7 @@ impl Restoration {
         let found = &mut self.found;
         if self.images.is_multiple_of(EXAMINED_EVERY) {
             found.impulse_noise = found.impulse_noise || has_impulse_noise(&image);
-            found.row_noise = found.row_noise || has_row_noise(&image);
+            found.row_noise = found.row_noise || self.row_noise.is_in(&image);
         }
         self.images += 1;
         if found.impulse_noise {

@@ -2,7 +2,7 @@
 //! reads its rows in the dark, or in an analog video with interference.
 
 use super::GrayImage;
-use crate::numerics::{NORMAL_MEDIAN, median, normal_sigma};
+use crate::numerics::{NORMAL_MEDIAN, median};
 
 /// Rows from one comparison of neighbouring rows to the next, and columns from one sample of a row
 /// to the next.
@@ -25,29 +25,52 @@ const INDEPENDENT: f64 = -0.25;
 /// have gain and offset.
 const REACH: usize = 8;
 
-/// Whether an image has row noise.
-pub fn has_row_noise(image: &GrayImage) -> bool {
-    let mut differences = Vec::new();
-    let mut spreads = Vec::new();
-    for y in (0..image.height().saturating_sub(2)).step_by(EVERY_ROW) {
-        for y in [y, y + 1] {
-            let rows = image.row(y).iter().zip(image.row(y + 1)).step_by(EVERY_COLUMN);
-            let mut between: Vec<f64> = rows.map(|(&a, &b)| f64::from(b) - f64::from(a)).collect();
-            let Some(middle) = median(&mut between) else { return false };
-            between.iter_mut().for_each(|value| *value -= middle);
-            differences.push(middle);
-            spreads.push(normal_sigma(&between));
+/// Looks for row noise.
+#[derive(Debug, Clone, Default)]
+pub struct RowNoise {
+    /// Reusable memory: differences of two rows; their medians for all pairs of rows, as they come
+    /// and to be sorted; and their spreads.
+    between: Vec<f64>,
+    medians: Vec<f64>,
+    sorted: Vec<f64>,
+    spreads: Vec<f64>,
+}
+
+impl RowNoise {
+    /// Whether an image has row noise.
+    pub fn is_in(&mut self, image: &GrayImage) -> bool {
+        self.compare_rows(image);
+        let samples = (image.width() / EVERY_COLUMN).max(1) as f64;
+        self.sorted.clone_from(&self.medians);
+        let (Some(slope), Some(spread)) = (median(&mut self.sorted), median(&mut self.spreads)) else {
+            return false;
+        };
+        self.medians.iter_mut().for_each(|value| *value -= slope);
+        self.sorted.clear();
+        self.sorted.extend(self.medians.iter().map(|value| value.abs()));
+        let sigma = median(&mut self.sorted).unwrap_or(0.0) / NORMAL_MEDIAN;
+        let is_strong = sigma > LEAST_GRAY * std::f64::consts::SQRT_2
+            && sigma > LEAST_RATIO * std::f64::consts::SQRT_2 * spread / (NORMAL_MEDIAN * samples).sqrt();
+        is_strong && correlation(&self.medians, 3.0 * sigma) < INDEPENDENT
+    }
+
+    /// Medians and spreads of the differences between rows, of two pairs with a row in common at a
+    /// time.
+    fn compare_rows(&mut self, image: &GrayImage) {
+        self.medians.clear();
+        self.spreads.clear();
+        for y in (0..image.height().saturating_sub(2)).step_by(EVERY_ROW) {
+            for y in [y, y + 1] {
+                let rows = image.row(y).iter().zip(image.row(y + 1)).step_by(EVERY_COLUMN);
+                self.between.clear();
+                self.between.extend(rows.map(|(&a, &b)| f64::from(b) - f64::from(a)));
+                let middle = median(&mut self.between).unwrap_or(0.0);
+                self.between.iter_mut().for_each(|value| *value = (*value - middle).abs());
+                self.medians.push(middle);
+                self.spreads.push(median(&mut self.between).unwrap_or(0.0) / NORMAL_MEDIAN);
+            }
         }
     }
-    let samples = (image.width() / EVERY_COLUMN).max(1) as f64;
-    let (Some(slope), Some(spread)) = (median(&mut differences.clone()), median(&mut spreads)) else {
-        return false;
-    };
-    differences.iter_mut().for_each(|value| *value -= slope);
-    let sigma = normal_sigma(&differences);
-    let is_strong = sigma > LEAST_GRAY * std::f64::consts::SQRT_2
-        && sigma > LEAST_RATIO * std::f64::consts::SQRT_2 * spread / (NORMAL_MEDIAN * samples).sqrt();
-    is_strong && correlation(&differences, 3.0 * sigma) < INDEPENDENT
 }
 
 /// The correlation of the first with the second of each pair, after clamping to a limit.
@@ -122,7 +145,8 @@ mod tests {
 
     #[test]
     fn rows_that_are_off_are_found_and_corrected() {
-        assert!(!has_row_noise(&image(0)) && has_row_noise(&image(20)));
+        let mut noise = RowNoise::default();
+        assert!(!noise.is_in(&image(0)) && noise.is_in(&image(20)));
         let (clean, mut noisy) = (image(0), image(20));
         let off = |image: &GrayImage| {
             let rows = (8..88).map(|y| image.row(y).iter().zip(clean.row(y)));
@@ -142,7 +166,7 @@ mod tests {
             GrayImage::from_samples(320, 96, (0..320 * 96).map(sample).collect()).unwrap()
         };
         for period in [6, 7, 12, 40] {
-            assert!(!has_row_noise(&striped(period)), "{period}");
+            assert!(!RowNoise::default().is_in(&striped(period)), "{period}");
         }
     }
 
@@ -150,7 +174,7 @@ mod tests {
     fn images_of_any_size_are_taken() {
         for (width, height) in [(0, 0), (1, 1), (3, 2), (9, 40)] {
             let mut image = GrayImage::new(width, height);
-            has_row_noise(&image);
+            RowNoise::default().is_in(&image);
             remove_row_noise(&mut image);
             assert_eq!((image.width(), image.height()), (width, height));
         }
