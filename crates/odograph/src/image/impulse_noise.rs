@@ -50,7 +50,7 @@ pub fn remove_impulse_noise(image: &mut GrayImage) {
 /// Whether a pixel, not at the border, is above or below its neighbours, but for `others` of them,
 /// by more than a multiple of the range of the rest.
 fn is_impulse(image: &GrayImage, x: usize, y: usize, multiple: i32, others: usize) -> bool {
-    // Most pixels are told from impulses by their row.
+    // The neighbours in the row rule out most pixels.
     let row = &image.row(y)[x - 1..x + 2];
     let (left, here, right) = (i32::from(row[0]), i32::from(row[1]), i32::from(row[2]));
     let is_far = |other: i32| (here - other).abs() > LEAST_GRAY;
