@@ -59,7 +59,7 @@ fn a_folder_of_videos_gives_the_results_of_single_runs() {
     assert!(figures[0]["error"].is_string() && figures[1]["statistics"]["frames"] == 21, "{figures}");
     assert!(here.join("some/one/trajectory.tum").is_file() && !here.join("some/broken").exists());
 
-    // An error that names its recording is told as it is.
+    // An error that names its recording is printed as it is.
     fs::write(here.join("one.y4m"), first_frames(&here.join("videos/one.y4m"), 1)).unwrap();
     let short = odograph(here, &format!("run one.y4m broken.mp4 {camera} -o short --quiet"));
     let message = String::from_utf8_lossy(&short.stderr).into_owned();
