@@ -53,6 +53,9 @@ pub struct RunStatistics {
     /// Whether rows are brighter or darker at random, which was corrected; left out where not.
     #[serde(skip_serializing_if = "std::ops::Not::not")]
     pub row_noise: bool,
+    /// The same of columns.
+    #[serde(skip_serializing_if = "std::ops::Not::not")]
+    pub column_noise: bool,
     /// Whether single pixels are white or black at random, which was corrected; left out where not.
     #[serde(skip_serializing_if = "std::ops::Not::not")]
     pub impulse_noise: bool,

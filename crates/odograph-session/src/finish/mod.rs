@@ -101,6 +101,8 @@ const INTERLACED: &str = "the video is interlaced: even and odd rows of a frame 
 /// Warnings about noise that is corrected, but costs accuracy.
 const ROW_NOISE: &str = "rows of the images are brighter or darker at random, which was corrected; more light, or a \
                          better cable of an analog camera, gives better images";
+const COLUMN_NOISE: &str = "columns of the images are brighter or darker at random, which was corrected; more light, or \
+                            a better sensor, gives better images";
 const IMPULSE_NOISE: &str = "single pixels of the images are white or black at random, which was corrected; a better \
                              connection, or a cooler sensor, gives better images";
 
@@ -179,8 +181,13 @@ impl Finishing<'_> {
         self.warn(bends);
         let reads = self.tracked.readout.as_ref().and_then(FoundReadout::sentence);
         self.warn(reads);
-        let ImageDefects { interlaced, row_noise, impulse_noise } = self.tracked.defects;
-        let defects = [(interlaced, INTERLACED), (row_noise, ROW_NOISE), (impulse_noise, IMPULSE_NOISE)];
+        let ImageDefects { interlaced, row_noise, column_noise, impulse_noise } = self.tracked.defects;
+        let defects = [
+            (interlaced, INTERLACED),
+            (row_noise, ROW_NOISE),
+            (column_noise, COLUMN_NOISE),
+            (impulse_noise, IMPULSE_NOISE),
+        ];
         for (_, warning) in defects.into_iter().filter(|(is_there, _)| *is_there) {
             self.warn(Some(warning.to_owned()));
         }

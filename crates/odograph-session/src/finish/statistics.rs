@@ -58,6 +58,7 @@ pub fn statistics_of(
         readout: tracked.readout,
         interlaced: tracked.defects.interlaced,
         row_noise: tracked.defects.row_noise,
+        column_noise: tracked.defects.column_noise,
         impulse_noise: tracked.defects.impulse_noise,
         fixed_in_image: tracked.fixed.clone(),
         interrupted: tracked.interrupted,

@@ -76,6 +76,23 @@ impl GrayImage {
         self.height = height;
         self.samples.resize(width * height, 0);
     }
+
+    /// Makes `into` the transposed image: its rows are the columns of this one.
+    pub fn transpose_into(&self, into: &mut Self) {
+        /// Side length of the blocks that are copied one after the other, so that both images are
+        /// read and written in lines of the cache.
+        const BLOCK: usize = 16;
+        into.resize(self.height, self.width);
+        for top in (0..self.height).step_by(BLOCK) {
+            for left in (0..self.width).step_by(BLOCK) {
+                for y in top..(top + BLOCK).min(self.height) {
+                    for x in left..(left + BLOCK).min(self.width) {
+                        into.samples[x * self.height + y] = self.samples[y * self.width + x];
+                    }
+                }
+            }
+        }
+    }
 }
 
 /// An owned colour image, 8 bits each of red, green and blue (sRGB), interleaved, rows without

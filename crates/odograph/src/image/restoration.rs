@@ -13,6 +13,8 @@ pub struct ImageDefects {
     pub interlaced: bool,
     /// Rows are brighter or darker at random.
     pub row_noise: bool,
+    /// Columns are.
+    pub column_noise: bool,
     /// Single pixels are white or black at random.
     pub impulse_noise: bool,
 }
@@ -26,18 +28,25 @@ pub struct Restoration {
     interlacing: Interlacing,
     row_noise: RowNoise,
     found: ImageDefects,
+    /// Reusable memory: the transposed image.
+    transposed: Option<GrayImage>,
 }
 
 /// Images from one that is examined for noise to the next.
-const EXAMINED_EVERY: u64 = 4;
+const EXAMINED_EVERY: u64 = 16;
 
 impl Restoration {
     /// The next image, corrected.
     pub fn restore(&mut self, mut image: GrayImage) -> GrayImage {
-        let found = &mut self.found;
+        let Self { found, row_noise, .. } = self;
+        let transposed = self.transposed.get_or_insert_with(|| GrayImage::new(0, 0));
         if self.images.is_multiple_of(EXAMINED_EVERY) {
             found.impulse_noise = found.impulse_noise || has_impulse_noise(&image);
-            found.row_noise = found.row_noise || self.row_noise.is_in(&image);
+            found.row_noise = found.row_noise || row_noise.is_in(&image);
+            if !found.column_noise {
+                image.transpose_into(transposed);
+                found.column_noise = row_noise.is_in(transposed);
+            }
         }
         self.images += 1;
         if found.impulse_noise {
@@ -45,6 +54,11 @@ impl Restoration {
         }
         if found.row_noise {
             remove_row_noise(&mut image);
+        }
+        if found.column_noise {
+            image.transpose_into(transposed);
+            remove_row_noise(transposed);
+            transposed.transpose_into(&mut image);
         }
         found.interlaced = self.interlacing.look(&image);
         if found.interlaced { even_field(image) } else { image }

@@ -72,20 +72,24 @@ impl LastPose {
         let before = self.pose;
         let rates = [pose.x_m - before.x_m, pose.y_m - before.y_m, pose.heading_rad - before.heading_rad]
             .map(|change| change / step_s);
-        let rates = if self.is_a_jump(time_s, &pose) { self.rates } else { rates };
+        let jumps = self.is_a_jump(time_s, &pose);
+        let rates = if jumps { self.rates } else { rates };
         // The rates are those of the middles of the two steps.
         let between_s = 0.5 * (step_s + self.step_s);
         let accelerations = [0, 1, 2].map(|i| (rates[i] - self.rates[i]) / between_s);
         let off_by = std::array::from_fn(|model| {
             let off_by = seen_apart(&self.predicted(time_s, MODELS[model]), &pose);
             match self.off_by[model] {
+                // How far the camera was taken elsewhere says nothing of how it moves.
+                before if jumps => before,
                 // After `still` the rates are a guess, and a step later the accelerations.
                 before if before.is_finite() => off_by.max(REMEMBERED * before),
                 _ if MODELS[model] != MotionPrediction::Level && self.step_s == 0.0 => f64::INFINITY,
                 _ => off_by,
             }
         });
-        let pose_rates = Some((pose.to_vector() - before.to_vector()) / step_s);
+        let pose_rates =
+            if jumps { self.pose_rates } else { Some((pose.to_vector() - before.to_vector()) / step_s) };
         Self { time_s, pose, covariance, rates, pose_rates, accelerations, step_s, off_by }
     }
 
@@ -170,4 +174,27 @@ pub fn seen_apart(a: &GroundPose, b: &GroundPose) -> f64 {
         (seen.z > 0.0).then(|| (seen.x / seen.z - x).hypot(seen.y / seen.z - y))
     };
     VIEW.into_iter().map(|ray| apart(ray).unwrap_or(f64::INFINITY)).fold(0.0, f64::max)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_relocation_changes_no_prediction_of_the_motion() {
+        let at = |x_m: f64| GroundPose { x_m, ..GroundPose::level(0.75) };
+        let mut last = LastPose::still(0.0, at(0.0), Matrix6::zeros());
+        for frame in 1..10 {
+            last = last.moved(0.1 * f64::from(frame), at(0.01 * f64::from(frame)), Matrix6::zeros());
+        }
+        let usual = last.off_by();
+        // A tile of 0.2 m back, twice in a row: the second is a relocation, too.
+        for (frame, x_m) in [(10, -0.1), (11, -0.3)] {
+            last = last.moved(0.1 * f64::from(frame), at(x_m), Matrix6::zeros());
+            for prediction in &last.predictions(0.1 * f64::from(frame + 1))[..MODELS.len()] {
+                assert!((prediction.x_m - x_m - 0.01).abs() < 1e-9, "{}", prediction.x_m);
+            }
+            assert_eq!(last.off_by(), usual);
+        }
+    }
 }

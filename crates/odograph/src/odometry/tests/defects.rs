@@ -34,6 +34,21 @@ fn rows_of_random_brightness_are_corrected() {
 }
 
 #[test]
+fn columns_that_always_differ_are_corrected() {
+    let mut random = Random::new(1000);
+    let offsets: Vec<i32> = (0..640).map(|_| random.below(41) as i32 - 20).collect();
+    let (most_mm, found) = over_concrete(|_, image| {
+        for row in image.samples_mut().chunks_exact_mut(640) {
+            for (sample, offset) in row.iter_mut().zip(&offsets) {
+                *sample = (i32::from(*sample) + offset).clamp(0, 255) as u8;
+            }
+        }
+    });
+    assert!(found.column_noise && !found.row_noise && !found.impulse_noise, "{found:?}");
+    assert!(most_mm < 0.5, "{most_mm}");
+}
+
+#[test]
 fn pixels_that_are_black_or_white_are_replaced() {
     let (most_mm, found) = over_concrete(|number, image| {
         let mut random = Random::new(1000 + number as u64);
