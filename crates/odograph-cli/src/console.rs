@@ -107,16 +107,20 @@ pub fn quoted(path: &Path) -> String {
 /// A bar where the number of frames is known, a count where not; `doing` stands before it. Nothing
 /// is shown where standard error is no terminal.
 pub fn progress(doing: &str, frames: Option<u64>, quiet: bool) -> ProgressBar {
+    let templates = ["{prefix}{bar:30} {pos}/{len} frames, {eta} left", "{prefix}{pos} frames"];
+    progress_as(templates, frames, quiet).with_prefix(doing.to_owned())
+}
+
+/// The same by templates of indicatif, for a bar and for a count.
+pub fn progress_as([bar, count]: [&str; 2], frames: Option<u64>, quiet: bool) -> ProgressBar {
     if quiet {
         return ProgressBar::hidden();
     }
-    let bar = frames.map_or_else(ProgressBar::new_spinner, ProgressBar::new);
-    let counted = if frames.is_some() { "{bar:30} {pos}/{len} frames, {eta} left" } else { "{pos} frames" };
-    if let Ok(style) = ProgressStyle::with_template(&format!("{{prefix}}{counted}")) {
-        bar.set_style(style);
+    let progress = frames.map_or_else(ProgressBar::new_spinner, ProgressBar::new);
+    if let Ok(style) = ProgressStyle::with_template(if frames.is_some() { bar } else { count }) {
+        progress.set_style(style);
     }
-    bar.set_prefix(doing.to_owned());
-    bar
+    progress
 }
 
 #[cfg(test)]

@@ -435,6 +435,8 @@ def test_a_listener_that_is_killed_holds_up_nobody(simulated, recording, robot, 
         text=True,
         cwd=os.path.dirname(__file__),
     )
+    # On a busy machine it takes longer to begin than the images that it listens for.
+    assert listener.stdout.readline() == "began\n"
     program = Program(tmp_path, f"live ros2:/camera/image_raw {given(simulated)} --ros2 -o live")
     until(lambda: matched(images), what="the subscription")
     play(recording, lambda number: images.write(recording.image(number)), numbers=range(60))
@@ -452,6 +454,7 @@ import messages as ros
 from robot import RELIABLE, Robot
 robot = Robot(int(os.environ["ROS_DOMAIN_ID"]))
 odometry = robot.listen("/odom", ros.Odometry, RELIABLE)
+print("began", flush=True)
 while not odometry:
     time.sleep(0.05)
 print("listens", flush=True)

@@ -65,6 +65,39 @@ pub struct Tracked {
     pub defects: ImageDefects,
 }
 
+impl Tracked {
+    /// What odometry found by itself, of a recording that was read to its end.
+    pub fn of(
+        plan: &RunPlan,
+        odometry: &Odometry,
+        frames: KeptFrames,
+        views: MosaicFrames,
+        mapping: Mapping,
+    ) -> Self {
+        Self {
+            frames,
+            recalibrated: Vec::new(),
+            views,
+            mapping,
+            keyframes: odometry.keyframes(),
+            fixed: FixedInImage::of(odometry),
+            warnings: Vec::new(),
+            times: StageTimes::default(),
+            interrupted: false,
+            announced: None,
+            marks: Vec::new(),
+            live: None,
+            failure: None,
+            unmapped: None,
+            video: None,
+            mount: None,
+            lens: None,
+            readout: FoundReadout::of(plan, odometry),
+            defects: odometry.image_defects(),
+        }
+    }
+}
+
 /// Processing times of each frame per stage.
 #[derive(Debug, Default)]
 pub struct StageTimes {
@@ -102,10 +135,7 @@ pub fn track(
     odometry.record_keyframes();
     let mapping = Mapping::new(plan, folder, output)?;
     let views = MosaicFrames::new(&plan.camera, folder.path());
-    let video = match &output.video {
-        Some(path) => Some(begin_video(path, &plan.camera, reporter)?),
-        None => None,
-    };
+    let video = output.video.as_ref().map(|path| begin_video(path, &plan.camera, reporter)).transpose()?;
     let mut tracking = TrackingStage {
         shows: video.is_some(),
         odometry,
@@ -145,15 +175,6 @@ pub fn track(
     // An interrupt after the last frame changes no result.
     let interrupted = observer.is_stop_asked() && announced != Some(tracking.frames.count() as u64);
     Ok(PassEnd::Finished(Tracked {
-        readout: FoundReadout::of(plan, &tracking.odometry),
-        defects: tracking.odometry.image_defects(),
-        marks: Vec::new(),
-        keyframes: tracking.odometry.keyframes(),
-        fixed: FixedInImage::of(&tracking.odometry),
-        frames: tracking.frames,
-        recalibrated: Vec::new(),
-        views,
-        mapping,
         warnings: decoding.source.take_warnings(),
         times: StageTimes {
             decode: decoding.times,
@@ -163,12 +184,10 @@ pub fn track(
         },
         interrupted,
         announced,
-        live: None,
         failure: outcome.err(),
         unmapped,
         video: video.map(OverlayVideo::finish),
-        mount: None,
-        lens: None,
+        ..Tracked::of(plan, &tracking.odometry, tracking.frames, views, mapping)
     }))
 }
 

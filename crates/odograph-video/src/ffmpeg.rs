@@ -57,6 +57,62 @@ pub(crate) enum Content<'a> {
     Unknown,
 }
 
+impl Content<'_> {
+    fn description(&self) -> String {
+        match self {
+            Self::Video { codec, container, .. } => format!("{codec} in {container}, through ffmpeg"),
+            Self::JpegStream => "raw Motion JPEG, through ffmpeg".to_owned(),
+            Self::Stream => "RTSP, through ffmpeg".to_owned(),
+            Self::Unknown => "video through ffmpeg".to_owned(),
+        }
+    }
+
+    /// Says what is missing where there is no ffmpeg.
+    fn needs_ffmpeg(&self) -> String {
+        let (what, or) = match self {
+            Self::Video { codec, container, .. } => {
+                (format!("{codec} in {container} is decoded"), "convert the video to H.264")
+            }
+            Self::JpegStream => ("a raw Motion JPEG stream is decoded".to_owned(), "convert it to a video"),
+            Self::Stream => ("an RTSP stream is read".to_owned(), "use the camera's http:// address"),
+            Self::Unknown => {
+                return format!(
+                    "this is not a picture or video of a kind known here; with the program ffmpeg installed (or named in {VARIABLE}) more kinds can be read"
+                );
+            }
+        };
+        format!(
+            "{what} through the program ffmpeg, which was not found; install ffmpeg (or name it in {VARIABLE}), or {or}"
+        )
+    }
+
+    /// The error for what ffmpeg cannot read either, with its message.
+    fn undecodable(&self, path: &Path, why: &str) -> Error {
+        // The place is named once, by whoever opens it.
+        let why = why.strip_prefix(&format!("file:{}: ", path.display())).unwrap_or(why);
+        let why: String = why.chars().take(MAX_QUOTED).collect();
+        Error::input(match self {
+            Self::Video { codec, container, .. } => {
+                format!("{codec} in {container} cannot be decoded, not even with ffmpeg: {why}")
+            }
+            Self::JpegStream => {
+                format!("this raw Motion JPEG stream cannot be decoded, not even with ffmpeg: {why}")
+            }
+            Self::Stream => format!(
+                "the stream cannot be read through ffmpeg: {why}; check the address, and that the camera is on and in \
+                 this network"
+            ),
+            Self::Unknown if NOT_RECOGNISED.iter().any(|message| why.contains(message)) => format!(
+                "this is not a picture or video of a kind known here or to ffmpeg; it is damaged or no recording: copy it again, or {}",
+                foreign_file::WHAT_TO_GIVE
+            ),
+            Self::Unknown => format!(
+                "this is not a picture or video of a kind known here, and ffmpeg cannot read it either: {why}"
+            ),
+        })
+    }
+}
+
 /// Opens a file with ffmpeg.
 ///
 /// # Errors
@@ -75,65 +131,22 @@ pub(crate) fn open_stream(address: &str, color: bool) -> Result<Opened> {
 }
 
 fn open_with(program: Option<PathBuf>, path: &Path, content: Content<'_>, color: bool) -> Result<Opened> {
-    let Some(program) = program else {
-        return Err(Error::input(match content {
-            Content::Stream => format!(
-                "an RTSP stream is read through the program ffmpeg, which was not found; install ffmpeg (or name it in {VARIABLE}), or use the camera's http:// address"
-            ),
-            Content::Video { codec, container, .. } => format!(
-                "{codec} in {container} is decoded through the program ffmpeg, which was not found; install ffmpeg (or name it in {VARIABLE}), or convert the video to H.264"
-            ),
-            Content::JpegStream => format!(
-                "a raw Motion JPEG stream is decoded through the program ffmpeg, which was not found; install ffmpeg (or name it in {VARIABLE}), or convert it to a video"
-            ),
-            Content::Unknown => format!(
-                "this is not a picture or video of a kind known here; with the program ffmpeg installed (or named in {VARIABLE}) more kinds can be read"
-            ),
-        }));
-    };
-    let fail = |why: &str| {
-        // The place is named once, by whoever opens it.
-        let why = why.strip_prefix(&format!("file:{}: ", path.display())).unwrap_or(why);
-        let why: String = why.chars().take(MAX_QUOTED).collect();
-        Error::input(match content {
-            Content::Stream => format!(
-                "the stream cannot be read through ffmpeg: {why}; check the address, and that the camera is on and in \
-                 this network"
-            ),
-            Content::Video { codec, container, .. } => {
-                format!("{codec} in {container} cannot be decoded, not even with ffmpeg: {why}")
-            }
-            Content::JpegStream => {
-                format!("this raw Motion JPEG stream cannot be decoded, not even with ffmpeg: {why}")
-            }
-            Content::Unknown if NOT_RECOGNISED.iter().any(|message| why.contains(message)) => format!(
-                "this is not a picture or video of a kind known here or to ffmpeg; it is damaged or no recording: copy it again, or {}",
-                foreign_file::WHAT_TO_GIVE
-            ),
-            Content::Unknown => format!(
-                "this is not a picture or video of a kind known here, and ffmpeg cannot read it either: {why}"
-            ),
-        })
-    };
+    let Some(program) = program else { return Err(Error::input(content.needs_ffmpeg())) };
+    let fail = |why: &str| content.undecodable(path, why);
     // `-fps_mode` exists since ffmpeg 5.1; its predecessor was `-vsync`.
     for passthrough in ["-fps_mode", "-vsync"] {
         let mut process = Process::start(&program, input(path, &content), passthrough, color)?;
         match process.receive() {
             Ok(Some(first)) => {
                 process.first = Some(first);
-                let (description, frame_count) = match content {
-                    Content::Video { codec, container, frame_count } => {
-                        (format!("{codec} in {container}, through ffmpeg"), frame_count)
-                    }
-                    Content::Stream => ("RTSP, through ffmpeg".to_string(), None),
-                    Content::JpegStream => ("raw Motion JPEG, through ffmpeg".to_string(), None),
-                    Content::Unknown => ("video through ffmpeg".to_string(), None),
-                };
                 return Ok(Opened {
                     frames: Box::new(process),
-                    frame_count,
+                    frame_count: match content {
+                        Content::Video { frame_count, .. } => frame_count,
+                        _ => None,
+                    },
                     frames_within: None,
-                    description,
+                    description: content.description(),
                     times_known: !matches!(content, Content::JpegStream),
                     timestamps_used: false,
                     frames_per_second: None,
@@ -155,37 +168,20 @@ fn open_with(program: Option<PathBuf>, path: &Path, content: Content<'_>, color:
 /// Input options of ffmpeg. Whitelists keep a file from referring to other files or the network,
 /// and a stream from referring to files.
 fn input(path: &Path, content: &Content<'_>) -> Vec<OsString> {
-    let (options, place): (&[&str], _) = match content {
+    let options = match content {
         // TCP avoids packet loss; no buffering for smooth playback and a short stream analysis
         // reduce latency.
-        Content::Stream => (
-            &[
-                "-protocol_whitelist",
-                "rtsp,rtsps,tcp,tls,udp,rtp,crypto",
-                "-rtsp_transport",
-                "tcp",
-                "-fflags",
-                "nobuffer",
-                "-flags",
-                "low_delay",
-                "-analyzeduration",
-                "1000000",
-                "-i",
-            ],
-            path.as_os_str().to_owned(),
-        ),
-        _ => {
-            let mut file = OsString::from("file:");
-            file.push(path);
-            let options: &[&str] = match content {
-                Content::Unknown => &["-protocol_whitelist", "file", "-format_whitelist", CONTAINERS, "-i"],
-                Content::JpegStream => &["-protocol_whitelist", "file", "-f", "mjpeg", "-i"],
-                _ => &["-protocol_whitelist", "file", "-i"],
-            };
-            (options, file)
+        Content::Stream => {
+            "-protocol_whitelist rtsp,rtsps,tcp,tls,udp,rtp,crypto -rtsp_transport tcp -fflags nobuffer \
+             -flags low_delay -analyzeduration 1000000"
         }
+        Content::Unknown => &format!("-protocol_whitelist file -format_whitelist {CONTAINERS}"),
+        Content::JpegStream => "-protocol_whitelist file -f mjpeg",
+        Content::Video { .. } => "-protocol_whitelist file",
     };
-    options.iter().map(OsString::from).chain([place]).collect()
+    let mut place = OsString::from(if matches!(content, Content::Stream) { "" } else { "file:" });
+    place.push(path);
+    options.split(' ').map(OsString::from).chain(["-i".into(), place]).collect()
 }
 
 /// Path of the program, if it is installed.
@@ -228,17 +224,8 @@ impl Process {
         command.args(["-nostdin", "-hide_banner", "-v", "error", "-copyts"]).args(input);
         command.args(["-map", "0:v:0", passthrough, "passthrough", "-vf", FORMATS]);
         command.args(["-strict", "-1", "-f", "yuv4mpegpipe", "pipe:1"]);
-        command.args([
-            "-map",
-            "0:v:0",
-            passthrough,
-            "passthrough",
-            "-enc_time_base",
-            "-1",
-            "-c:v",
-            "wrapped_avframe",
-        ]);
-        command.args(["-flush_packets", "1", "-f", "framecrc", "pipe:2"]);
+        command.args(["-map", "0:v:0", passthrough, "passthrough", "-enc_time_base", "-1"]);
+        command.args(["-c:v", "wrapped_avframe", "-flush_packets", "1", "-f", "framecrc", "pipe:2"]);
         let mut child = command
             .stdin(Stdio::null())
             .stdout(Stdio::piped())

@@ -107,63 +107,67 @@ impl Picture {
         let rows = || bytes.chunks(line).take(height).map(|row| &row[..row_bytes]);
         let lost = || Error::input(format!("a picture of {width}x{height} cannot be made"));
         let gray = |samples| GrayImage::from_samples(width, height, samples).ok_or_else(lost);
-        let interleaved = |size: usize, [red, green, blue]: [usize; 3]| {
-            let mut rgb = Vec::with_capacity(3 * pixels);
-            for row in rows() {
-                rgb.extend(row.chunks_exact(size).flat_map(|p| [p[red], p[green], p[blue]]));
-            }
-            picture_from_rgb(width, height, rgb, color).ok_or_else(lost)
-        };
+        let colored = |rgb| picture_from_rgb(width, height, rgb, color).ok_or_else(lost);
         let chroma = |down: usize, blue: Vec<u8>, red: Vec<u8>| {
             let encoding = ColorEncoding { matrix: Matrix::Bt601, full_range: false };
             Color::Chroma(Chroma { width: width.div_ceil(2), height: down, blue, red, encoding })
         };
         match layout {
-            SampleLayout::Gray => {
-                let mut samples = Vec::with_capacity(pixels);
-                rows().for_each(|row| samples.extend_from_slice(row));
-                gray(samples).map(Self::gray)
-            }
-            SampleLayout::Gray16 { big_endian } => {
-                let mut samples = Vec::with_capacity(pixels);
-                for row in rows() {
-                    samples.extend(row.chunks_exact(2).map(|pair| {
-                        let pair = [pair[0], pair[1]];
-                        let sample =
-                            if big_endian { u16::from_be_bytes(pair) } else { u16::from_le_bytes(pair) };
-                        narrow_full_scale(sample)
-                    }));
-                }
-                gray(samples).map(Self::gray)
-            }
-            SampleLayout::Rgb => interleaved(3, [0, 1, 2]),
-            SampleLayout::Bgr => interleaved(3, [2, 1, 0]),
-            SampleLayout::Rgba => interleaved(4, [0, 1, 2]),
-            SampleLayout::Bgra => interleaved(4, [2, 1, 0]),
+            SampleLayout::Gray => gray(joined(rows())).map(Self::gray),
+            SampleLayout::Gray16 { big_endian } => gray(narrowed(rows(), pixels, big_endian)).map(Self::gray),
+            SampleLayout::Rgb => colored(interleaved(rows(), pixels, 3, [0, 1, 2])),
+            SampleLayout::Bgr => colored(interleaved(rows(), pixels, 3, [2, 1, 0])),
+            SampleLayout::Rgba => colored(interleaved(rows(), pixels, 4, [0, 1, 2])),
+            SampleLayout::Bgra => colored(interleaved(rows(), pixels, 4, [2, 1, 0])),
             SampleLayout::Bayer(_) if width < 2 || height < 2 => {
                 Err(Error::input(format!("a Bayer picture of {width}x{height} is too small")))
             }
-            SampleLayout::Bayer(pattern) => {
-                picture_from_rgb(width, height, pattern.rgb(width, height, rows()), color).ok_or_else(lost)
-            }
+            SampleLayout::Bayer(pattern) => colored(pattern.rgb(width, height, rows())),
             SampleLayout::Yuyv | SampleLayout::Uyvy => {
                 let at = if layout == SampleLayout::Yuyv { [0, 1, 3] } else { [1, 0, 2] };
                 let [samples, blue, red] = packed_planes(rows(), at, color);
                 Ok(Self { gray: gray(samples)?, color: color.then(|| chroma(height, blue, red)) })
             }
             SampleLayout::Nv12 => {
-                let mut samples = Vec::with_capacity(pixels);
-                rows().for_each(|row| samples.extend_from_slice(row));
                 let down = height.div_ceil(2);
                 let color = color.then(|| {
                     let rows = bytes.chunks(line).skip(height).take(down);
                     let [blue, red] = interleaved_chroma(rows, width.div_ceil(2));
                     chroma(down, blue, red)
                 });
-                Ok(Self { gray: gray(samples)?, color })
+                Ok(Self { gray: gray(joined(rows()))?, color })
             }
         }
     }
+}
+
+/// The samples of rows, one after another.
+fn joined<'a>(rows: impl Iterator<Item = &'a [u8]>) -> Vec<u8> {
+    rows.collect::<Vec<_>>().concat()
+}
+
+/// The samples of rows of 16-bit samples, narrowed to 8 bits.
+fn narrowed<'a>(rows: impl Iterator<Item = &'a [u8]>, pixels: usize, big_endian: bool) -> Vec<u8> {
+    let read = if big_endian { u16::from_be_bytes } else { u16::from_le_bytes };
+    let mut samples = Vec::with_capacity(pixels);
+    for row in rows {
+        samples.extend(row.chunks_exact(2).map(|pair| narrow_full_scale(read([pair[0], pair[1]]))));
+    }
+    samples
+}
+
+/// Red, green and blue of rows of pixels of `size` bytes, which are `at` these positions.
+fn interleaved<'a>(
+    rows: impl Iterator<Item = &'a [u8]>,
+    pixels: usize,
+    size: usize,
+    at: [usize; 3],
+) -> Vec<u8> {
+    let mut rgb = Vec::with_capacity(3 * pixels);
+    for row in rows {
+        rgb.extend(row.chunks_exact(size).flat_map(|pixel| at.map(|at| pixel[at])));
+    }
+    rgb
 }
 
 /// Luminance, blue and red chroma of rows with two pixels in four bytes, which are `at` these

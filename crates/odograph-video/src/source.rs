@@ -175,6 +175,11 @@ pub(crate) fn open_kind(path: &Path, options: &SourceOptions) -> Result<Opened> 
     if !metadata.is_file() {
         return open_pipe(pipe::open(path)?, options);
     }
+    open_file(path, metadata.len(), options)
+}
+
+/// Opens a regular file by what it starts with.
+fn open_file(path: &Path, length: u64, options: &SourceOptions) -> Result<Opened> {
     let mut file = File::open(path).map_err(|error| Error::input(format!("cannot be opened: {error}")))?;
     let mut start = Vec::new();
     file.by_ref()
@@ -186,7 +191,7 @@ pub(crate) fn open_kind(path: &Path, options: &SourceOptions) -> Result<Opened> 
     match &start[..start.len().min(MAGIC_BYTES)] {
         [] => Err(Error::input("the file is empty; record or copy it again")),
         m if m.starts_with(y4m::MAGIC) => {
-            y4m::open(BufReader::with_capacity(1 << 18, file), Some(metadata.len()), options.color)
+            y4m::open(BufReader::with_capacity(1 << 18, file), Some(length), options.color)
         }
         [0xff, 0xd8, ..]
             if path

@@ -1,7 +1,7 @@
 //! Architecture rules, checked on the source code: a module imports only modules listed above it in
 //! `lib.rs`, the modules of a room import each other in no circle, a room's own file is its
 //! `mod.rs`, `unsafe` is confined to the image kernels, and the libraries print nothing, read no
-//! clock and open no network connection.
+//! clock and open no network connection. Packages depend on each other in no circle.
 
 #![allow(clippy::unwrap_used)] // a test fails by panicking
 
@@ -10,9 +10,9 @@ mod imports;
 #[path = "house/source_text.rs"]
 mod source_text;
 
-use imports::{Imports, Module, absolute, paths};
+use imports::{Imports, Module, absolute, circle, paths};
 use source_text::{Word, code, words};
-use std::collections::BTreeMap;
+use std::collections::{BTreeMap, BTreeSet};
 use std::fs;
 use std::path::{Path, PathBuf};
 
@@ -245,6 +245,42 @@ fn libraries_print_nothing_read_no_clock_and_open_no_connection() {
 fn the_session_live_ros_and_site_libraries_print_nothing() {
     for name in ["odograph-session", "odograph-live", "odograph-ros2", "odograph-site"] {
         check_crate(name, |_, shown, text| forbidden_words(&NOT_IN_A_LIBRARY[..5], shown, text));
+    }
+}
+
+/// The crates that are packaged, each with those of ours that its package depends on: one for tests
+/// alone that has no version is left out of it.
+fn packages() -> BTreeMap<String, BTreeSet<String>> {
+    let mut packages = BTreeMap::new();
+    for folder in fs::read_dir(crates_folder()).unwrap() {
+        let manifest = fs::read_to_string(folder.unwrap().path().join("Cargo.toml")).unwrap();
+        let manifest: toml::Table = toml::from_str(&manifest).unwrap();
+        if manifest["package"].get("publish") == Some(&toml::Value::Boolean(false)) {
+            continue;
+        }
+        let name = manifest["package"]["name"].as_str().unwrap();
+        let mut needed = BTreeSet::new();
+        for section in ["dependencies", "dev-dependencies"] {
+            let listed = manifest.get(section).and_then(toml::Value::as_table).into_iter().flatten();
+            for (other, how) in listed.filter(|(other, _)| other.starts_with("odograph")) {
+                if how.get("workspace").or(how.get("version")).is_some() {
+                    needed.insert(other.clone());
+                } else {
+                    assert_eq!(section, "dev-dependencies", "{name} gives no version of {other}");
+                }
+            }
+        }
+        packages.insert(name.to_owned(), needed);
+    }
+    packages
+}
+
+#[test]
+fn packages_depend_on_each_other_in_no_circle() {
+    let packages = packages();
+    assert!(packages.len() > 8, "{packages:?}");
+    for package in packages.keys() {
+        assert_eq!(circle(&packages, package), None);
     }
 }
 

@@ -92,80 +92,80 @@ impl Drawing {
                 spacing_m,
                 |column, row| (column + row) % 2 == 0,
             ),
-            BoardKind::Charuco { marker_m, dictionary } => {
-                let bits = dictionary.bits_per_side();
-                let cells = bits + 2;
-                let markers: Vec<u64> = (0..).map_while(|id| dictionary.marker(id)).collect();
-                let margin_m = (spacing_m - marker_m) / 2.0;
-                let edges_m: Vec<f64> = std::iter::once(0.0)
-                    .chain((0..=cells).map(|cell| margin_m + marker_m * cell as f64 / cells as f64))
-                    .collect();
-                Self::of_cells(
-                    CellAxis::new(-spacing_m, &edges_m, spacing_m, columns, 0.0),
-                    CellAxis::new(-spacing_m, &edges_m, spacing_m, rows, 0.0),
-                    spacing_m,
-                    |column, row| {
-                        let (square, place) = (column / edges_m.len(), column % edges_m.len());
-                        let (square_row, place_row) = (row / edges_m.len(), row % edges_m.len());
-                        if (square + square_row) % 2 == 0 {
-                            return true;
-                        }
-                        // Number of white squares before this one. Each pair of rows has `columns`
-                        // white squares, whether the first row starts black or white.
-                        let id = (square_row * columns + square) / 2;
-                        let inside = (1..=cells).contains(&place) && (1..=cells).contains(&place_row);
-                        inside && is_black_cell(markers[id], bits, 1, place - 1, place_row - 1)
-                    },
-                )
-            }
-            BoardKind::AprilGrid { tag_m } => {
-                let gap_m = spacing_m - tag_m;
-                let family = Dictionary::AprilTag36h11;
-                let markers: Vec<u64> =
-                    (0..).map_while(|id| Some(family.turned(family.marker(id)?, 2))).collect();
-                let edges_m: Vec<f64> = std::iter::once(0.0)
-                    .chain((0..TAG_CELLS).map(|cell| gap_m + tag_m * cell as f64 / TAG_CELLS as f64))
-                    .collect();
-                Self::of_cells(
-                    CellAxis::new(-gap_m, &edges_m, spacing_m, columns, gap_m),
-                    CellAxis::new(-gap_m, &edges_m, spacing_m, rows, gap_m),
-                    gap_m.max(tag_m / TAG_CELLS as f64),
-                    |column, row| {
-                        let (tag, place) = (column / edges_m.len(), column % edges_m.len());
-                        let (tag_row, place_row) = (row / edges_m.len(), row % edges_m.len());
-                        match (place, place_row) {
-                            (0, 0) => true,
-                            (0, _) | (_, 0) => false,
-                            _ => {
-                                let id = (rows - 1 - tag_row) * columns + tag;
-                                is_black_cell(
-                                    markers[id],
-                                    family.bits_per_side(),
-                                    2,
-                                    place - 1,
-                                    place_row - 1,
-                                )
-                            }
-                        }
-                    },
-                )
-            }
-            BoardKind::Circles | BoardKind::AsymmetricCircles => {
-                let shifted = board.kind() == BoardKind::AsymmetricCircles;
-                let nearest_m = if shifted { spacing_m * std::f64::consts::SQRT_2 } else { spacing_m };
-                let centers = board.points();
-                let farthest = |of: fn(&BoardPoint) -> f64| centers.iter().map(of).fold(0.0, f64::max);
-                let around = Rectangle {
-                    from: BoardPoint { x_m: 0.0, y_m: 0.0 },
-                    to: BoardPoint { x_m: farthest(|point| point.x_m), y_m: farthest(|point| point.y_m) },
-                };
-                let radius_m = nearest_m / 4.0;
-                Self {
-                    pattern: around.widened(radius_m),
-                    quiet_m: spacing_m - radius_m,
-                    ink: Ink::DiscGrid(DiscGrid { centers, columns, rows, spacing_m, shifted, radius_m }),
+            BoardKind::Charuco { marker_m, dictionary } => Self::charuco(board, marker_m, dictionary),
+            BoardKind::AprilGrid { tag_m } => Self::april_grid(board, tag_m),
+            BoardKind::Circles => Self::discs(board, false),
+            BoardKind::AsymmetricCircles => Self::discs(board, true),
+        }
+    }
+
+    fn charuco(board: &Board, marker_m: f64, dictionary: Dictionary) -> Self {
+        let (columns, rows, spacing_m) = (board.columns(), board.rows(), board.spacing_m());
+        let bits = dictionary.bits_per_side();
+        let cells = bits + 2;
+        let markers: Vec<u64> = (0..).map_while(|id| dictionary.marker(id)).collect();
+        let margin_m = (spacing_m - marker_m) / 2.0;
+        let edges_m: Vec<f64> = std::iter::once(0.0)
+            .chain((0..=cells).map(|cell| margin_m + marker_m * cell as f64 / cells as f64))
+            .collect();
+        Self::of_cells(
+            CellAxis::new(-spacing_m, &edges_m, spacing_m, columns, 0.0),
+            CellAxis::new(-spacing_m, &edges_m, spacing_m, rows, 0.0),
+            spacing_m,
+            |column, row| {
+                let (square, place) = (column / edges_m.len(), column % edges_m.len());
+                let (square_row, place_row) = (row / edges_m.len(), row % edges_m.len());
+                if (square + square_row) % 2 == 0 {
+                    return true;
                 }
-            }
+                // Number of white squares before this one. Each pair of rows has `columns` white
+                // squares, whether the first row starts black or white.
+                let id = (square_row * columns + square) / 2;
+                let inside = (1..=cells).contains(&place) && (1..=cells).contains(&place_row);
+                inside && is_black_cell(markers[id], bits, 1, place - 1, place_row - 1)
+            },
+        )
+    }
+
+    fn april_grid(board: &Board, tag_m: f64) -> Self {
+        let (columns, rows, spacing_m) = (board.columns(), board.rows(), board.spacing_m());
+        let gap_m = spacing_m - tag_m;
+        let family = Dictionary::AprilTag36h11;
+        let bits = family.bits_per_side();
+        let markers: Vec<u64> = (0..).map_while(|id| Some(family.turned(family.marker(id)?, 2))).collect();
+        let edges_m: Vec<f64> = std::iter::once(0.0)
+            .chain((0..TAG_CELLS).map(|cell| gap_m + tag_m * cell as f64 / TAG_CELLS as f64))
+            .collect();
+        Self::of_cells(
+            CellAxis::new(-gap_m, &edges_m, spacing_m, columns, gap_m),
+            CellAxis::new(-gap_m, &edges_m, spacing_m, rows, gap_m),
+            gap_m.max(tag_m / TAG_CELLS as f64),
+            |column, row| {
+                let (tag, place) = (column / edges_m.len(), column % edges_m.len());
+                let (tag_row, place_row) = (row / edges_m.len(), row % edges_m.len());
+                if place == 0 || place_row == 0 {
+                    return place == place_row;
+                }
+                let id = (rows - 1 - tag_row) * columns + tag;
+                is_black_cell(markers[id], bits, 2, place - 1, place_row - 1)
+            },
+        )
+    }
+
+    fn discs(board: &Board, shifted: bool) -> Self {
+        let (columns, rows, spacing_m) = (board.columns(), board.rows(), board.spacing_m());
+        let nearest_m = if shifted { spacing_m * std::f64::consts::SQRT_2 } else { spacing_m };
+        let centers = board.points();
+        let farthest = |of: fn(&BoardPoint) -> f64| centers.iter().map(of).fold(0.0, f64::max);
+        let around = Rectangle {
+            from: BoardPoint { x_m: 0.0, y_m: 0.0 },
+            to: BoardPoint { x_m: farthest(|point| point.x_m), y_m: farthest(|point| point.y_m) },
+        };
+        let radius_m = nearest_m / 4.0;
+        Self {
+            pattern: around.widened(radius_m),
+            quiet_m: spacing_m - radius_m,
+            ink: Ink::DiscGrid(DiscGrid { centers, columns, rows, spacing_m, shifted, radius_m }),
         }
     }
 

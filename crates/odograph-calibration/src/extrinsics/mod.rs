@@ -99,42 +99,13 @@ pub fn rig_from_boards(
     floor: &FloorBoard,
     views: &[BoardView],
 ) -> Result<BoardMounting> {
-    if !(floor.thickness_m.is_finite() && (0.0..1.0).contains(&floor.thickness_m)) {
-        return Err(Error::usage(format!(
-            "a board {} mm thick is not usable; give the height of its printed side above the floor, less than 1000 mm",
-            floor.thickness_m * 1e3
-        )));
-    }
-    let size = (camera.width(), camera.height());
-    if let Some((index, other)) = views.iter().enumerate().find(|(_, view)| view.size != size) {
-        return Err(Error::input(format!(
-            "picture {} is {}x{} but the camera is calibrated for {}x{}; calibrate at the size of the pictures",
-            index + 1,
-            other.size.0,
-            other.size.1,
-            size.0,
-            size.1
-        )));
-    }
+    check(camera, floor, views)?;
     let points: Vec<_> = views.iter().map(|view| floor.points(view)).collect();
     let mut fits: Vec<_> = points.iter().map(|points| fitted(camera, points)).collect();
     outliers::leave_out(&mut fits)?;
-    let used: Vec<(usize, ViewPoseFit)> = fits
-        .iter()
-        .enumerate()
-        .filter_map(|(index, fit)| Some((index, fit.as_ref().ok()?.clone())))
-        .collect();
+    let used = outliers::used(&fits);
     let Some(Together { around, combined, yaw }) = together(floor, used.iter().map(|(_, fit)| fit)) else {
-        let why = fits.iter().find_map(|fit| fit.as_ref().err());
-        return Err(Error::input(match why {
-            Some(left_out) if views.len() == 1 => format!("the rig cannot be measured: {}", left_out.why),
-            Some(left_out) => format!(
-                "none of the {} views shows the board lying on the floor; of the first, {}",
-                views.len(),
-                left_out.why
-            ),
-            None => "there is no view of the board".to_owned(),
-        }));
+        return Err(none_used(&fits));
     };
     let mut covariance = combined.covariance;
     let mut yaw_variance = yaw.map(|yaw| yaw.variance);
@@ -173,6 +144,38 @@ pub fn rig_from_boards(
         views: fits.into_iter().map(|fit| mounting_view(fit, floor.thickness_m)).collect(),
         scatter: combined.scatter.map(f64::sqrt).into(),
         notes,
+    })
+}
+
+fn check(camera: &Camera, floor: &FloorBoard, views: &[BoardView]) -> Result<()> {
+    if !(floor.thickness_m.is_finite() && (0.0..1.0).contains(&floor.thickness_m)) {
+        return Err(Error::usage(format!(
+            "a board {} mm thick is not usable; give the height of its printed side above the floor, less than 1000 mm",
+            floor.thickness_m * 1e3
+        )));
+    }
+    let (width, height) = (camera.width(), camera.height());
+    if let Some((index, other)) = views.iter().enumerate().find(|(_, view)| view.size != (width, height)) {
+        return Err(Error::input(format!(
+            "picture {} is {}x{} but the camera is calibrated for {width}x{height}; calibrate at the size of the pictures",
+            index + 1,
+            other.size.0,
+            other.size.1
+        )));
+    }
+    Ok(())
+}
+
+fn none_used(fits: &[std::result::Result<ViewPoseFit, LeftOut>]) -> Error {
+    let why = fits.iter().find_map(|fit| fit.as_ref().err());
+    Error::input(match why {
+        Some(left_out) if fits.len() == 1 => format!("the rig cannot be measured: {}", left_out.why),
+        Some(left_out) => format!(
+            "none of the {} views shows the board lying on the floor; of the first, {}",
+            fits.len(),
+            left_out.why
+        ),
+        None => "there is no view of the board".to_owned(),
     })
 }
 

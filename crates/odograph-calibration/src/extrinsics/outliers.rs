@@ -47,7 +47,8 @@ fn may_be_of_one_rig(a: &ViewPoseFit, b: &ViewPoseFit) -> bool {
     (a[0] / b[0] - 1.0).abs() < SAME_RIG.0 && (a[1] - b[1]).hypot(a[2] - b[2]) < SAME_RIG.1.to_radians()
 }
 
-fn used(fits: &[std::result::Result<ViewPoseFit, LeftOut>]) -> Vec<(usize, ViewPoseFit)> {
+/// The views that are used, with their indices.
+pub fn used(fits: &[std::result::Result<ViewPoseFit, LeftOut>]) -> Vec<(usize, ViewPoseFit)> {
     let used = fits.iter().enumerate();
     used.filter_map(|(index, fit)| Some((index, fit.as_ref().ok()?.clone()))).collect()
 }

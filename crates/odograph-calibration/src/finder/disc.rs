@@ -37,29 +37,7 @@ const WIDTHS_PER_DEVIATION: f64 = 2.645_751_311_064_590_7;
 /// around a blob, by Levenberg–Marquardt in all ten unknowns. `None` if the contrast is too low or
 /// the fit moves away from the blob.
 pub(super) fn fit(image: &GrayImage, blob: &Blob) -> Option<Disc> {
-    let reach = REACH * blob.axes_px.0 + 2.0;
-    let (left, right) = ((blob.pixel.x - reach).ceil().max(0.0), (blob.pixel.x + reach).floor());
-    let (top, bottom) = ((blob.pixel.y - reach).ceil().max(0.0), (blob.pixel.y + reach).floor());
-    let right = right.min(image.width() as f64 - 1.0);
-    let bottom = bottom.min(image.height() as f64 - 1.0);
-    // Large discs have enough samples: every second or third one is sufficient.
-    let stride = ((blob.axes_px.1 / 12.0) as usize).max(1);
-    let [a, b, c] = blob.shape;
-    // At least two pixels beyond the rim, so that the window of the smallest discs contains
-    // background.
-    let margin = 1.0 + 2.0 / blob.axes_px.1.max(1.0);
-    let limit = REACH.max(margin).powi(2);
-    let mut samples = Vec::new();
-    for y in (top as usize..=bottom as usize).step_by(stride) {
-        let row = image.row(y);
-        for x in (left as usize..=right as usize).step_by(stride) {
-            let (dx, dy) = (x as f64 - blob.pixel.x, y as f64 - blob.pixel.y);
-            let square = a * dx * dx + 2.0 * b * dx * dy + c * dy * dy;
-            if square <= limit {
-                samples.push([dx, dy, f64::from(row[x]), square]);
-            }
-        }
-    }
+    let samples = samples_around(image, blob);
     let mean = |keep: &dyn Fn(f64) -> bool| {
         let (mut sum, mut count) = (0.0, 0.0);
         for sample in samples.iter().filter(|sample| keep(sample[3])) {
@@ -72,6 +50,7 @@ pub(super) fn fit(image: &GrayImage, blob: &Blob) -> Option<Disc> {
     if ground - dark < 8.0 {
         return None;
     }
+    let [a, b, c] = blob.shape;
     let mut unknowns = DiscUnknowns::from([0.0, 0.0, a, b, c, 2.0, ground, 0.0, 0.0, ground - dark]);
     let (mut normal, mut gradient, mut cost) = normal_equations(&samples, &unknowns)?;
     let mut damping = 1e-3;
@@ -109,6 +88,35 @@ pub(super) fn fit(image: &GrayImage, blob: &Blob) -> Option<Disc> {
         contrast: unknowns[9],
         residual: (cost / samples.len() as f64).sqrt(),
     })
+}
+
+/// Samples of a blob and its surroundings: position from the middle, gray level, and squared
+/// distance from the middle in axes of the ellipse.
+fn samples_around(image: &GrayImage, blob: &Blob) -> Vec<[f64; 4]> {
+    let reach = REACH * blob.axes_px.0 + 2.0;
+    let (left, right) = ((blob.pixel.x - reach).ceil().max(0.0), (blob.pixel.x + reach).floor());
+    let (top, bottom) = ((blob.pixel.y - reach).ceil().max(0.0), (blob.pixel.y + reach).floor());
+    let right = right.min(image.width() as f64 - 1.0);
+    let bottom = bottom.min(image.height() as f64 - 1.0);
+    // Large discs have enough samples: every second or third one is sufficient.
+    let stride = ((blob.axes_px.1 / 12.0) as usize).max(1);
+    let [a, b, c] = blob.shape;
+    // At least two pixels beyond the rim, so that the window of the smallest discs contains
+    // background.
+    let margin = 1.0 + 2.0 / blob.axes_px.1.max(1.0);
+    let limit = REACH.max(margin).powi(2);
+    let mut samples = Vec::new();
+    for y in (top as usize..=bottom as usize).step_by(stride) {
+        let row = image.row(y);
+        for x in (left as usize..=right as usize).step_by(stride) {
+            let (dx, dy) = (x as f64 - blob.pixel.x, y as f64 - blob.pixel.y);
+            let square = a * dx * dx + 2.0 * b * dx * dy + c * dy * dy;
+            if square <= limit {
+                samples.push([dx, dy, f64::from(row[x]), square]);
+            }
+        }
+    }
+    samples
 }
 
 /// JᵀJ, Jᵀr and rᵀr; `None` if the matrix is not that of an ellipse.

@@ -37,46 +37,10 @@ impl NominalView {
                 continue;
             }
             let (x, y) = (at.x / at.z, at.y / at.z);
-            let r2 = x * x + y * y;
-            let radial = [r2, r2 * r2, r2 * r2 * r2];
-            let (dx, dy) = (
-                // By translation: the derivative of x / z. By rotation: the cross product of the
-                // rotated point with it.
-                Vector3::new(1.0, 0.0, -x) / at.z,
-                Vector3::new(0.0, 1.0, -y) / at.z,
-            );
-            let rows = [
-                (
-                    [
-                        x,
-                        0.0,
-                        1.0,
-                        0.0,
-                        x * radial[0],
-                        x * radial[1],
-                        x * radial[2],
-                        2.0 * x * y,
-                        r2 + 2.0 * x * x,
-                    ],
-                    dx,
-                ),
-                (
-                    [
-                        0.0,
-                        y,
-                        0.0,
-                        1.0,
-                        y * radial[0],
-                        y * radial[1],
-                        y * radial[2],
-                        r2 + 2.0 * y * y,
-                        2.0 * x * y,
-                    ],
-                    dy,
-                ),
-            ];
-            for (by_lens, by_point) in rows {
-                let by_lens = SVector::<f64, UNKNOWNS>::from(by_lens);
+            // By translation: the derivative of x / z. By rotation: the cross product of the
+            // rotated point with it.
+            let by_points = [Vector3::new(1.0, 0.0, -x) / at.z, Vector3::new(0.0, 1.0, -y) / at.z];
+            for (by_lens, by_point) in by_lens(x, y).into_iter().zip(by_points) {
                 let by_turn = turned.cross(&by_point);
                 let by_pose = SVector::<f64, 6>::from([
                     by_turn.x, by_turn.y, by_turn.z, by_point.x, by_point.y, by_point.z,
@@ -96,6 +60,17 @@ impl NominalView {
         }
         lesson
     }
+}
+
+/// Derivatives of the pixel by the lens at a point in the image plane of a pinhole.
+fn by_lens(x: f64, y: f64) -> [SVector<f64, UNKNOWNS>; 2] {
+    let r2 = x * x + y * y;
+    let [r4, r6] = [r2 * r2, r2 * r2 * r2];
+    let mixed = 2.0 * x * y;
+    [
+        [x, 0.0, 1.0, 0.0, x * r2, x * r4, x * r6, mixed, r2 + 2.0 * x * x].into(),
+        [0.0, y, 0.0, 1.0, y * r2, y * r4, y * r6, r2 + 2.0 * y * y, mixed].into(),
+    ]
 }
 
 /// The accumulated information about the lens.

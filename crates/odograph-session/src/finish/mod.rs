@@ -60,19 +60,22 @@ pub fn finish(
     ending: &Ending<'_>,
 ) -> Result<RunOutcome> {
     enough(plan, &mut tracked, ending.output)
-        .inspect_err(|error| give_warnings(&tracked, error, ending.observer))?;
+        .inspect_err(|error| give_warnings(live_warnings(&tracked), error, ending.observer))?;
     let mut pose_frames = PoseFrames::from(plan.pose_frame()?);
     tracked.recalibrated.iter().for_each(|(frame, rig)| pose_frames.recalibrate(*frame, rig));
     let failure = ended_early(&mut tracked);
     let mut run = Finishing { failure, plan, pose_frames, tracked, folder, ending };
-    run.finish().inspect_err(|error| give_warnings(&run.tracked, error, ending.observer))
+    run.finish().inspect_err(|error| give_warnings(live_warnings(&run.tracked), error, ending.observer))
+}
+
+fn live_warnings(tracked: &Tracked) -> &[String] {
+    if tracked.live.is_some() { &tracked.warnings } else { &[] }
 }
 
 /// Gives the observer the warnings that say more than the error that follows them.
-fn give_warnings(tracked: &Tracked, error: &Error, observer: &dyn Observer) {
+pub fn give_warnings(warnings: &[String], error: &Error, observer: &dyn Observer) {
     let error = error.to_string();
-    let warnings = tracked.warnings.iter().filter(|_| tracked.live.is_some());
-    warnings.filter(|warning| !warning.contains(&error)).for_each(|warning| observer.warn(warning));
+    warnings.iter().filter(|warning| !warning.contains(&error)).for_each(|warning| observer.warn(warning));
 }
 
 /// The camera file with the estimated lens, where it differs from the plan.

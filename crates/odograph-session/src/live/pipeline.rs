@@ -7,13 +7,14 @@ use super::ground::{LiveGround, MosaicUpdate};
 use super::latency::Latencies;
 use super::map_frame::{self, MapFrameUpdates};
 use super::mcap::McapLog;
-use super::mosaic_rendering;
+use super::mosaic_rendering::MosaicRenderingSummary;
 use super::page_layers::{PageLayers, show_results};
 use super::recorder::Recorder;
 use super::sinks::{LiveFrame, LiveSinks, PoseSink};
 use super::source::LiveInput;
-use crate::finish::{Ending, finish};
-use crate::found::{FixedInImage, FoundLens, FoundMount, FoundReadout};
+use crate::finish::{Ending, finish, give_warnings};
+use crate::folder::OutputFolder;
+use crate::found::{FoundLens, FoundMount};
 use crate::kept_frames::KeptFrames;
 use crate::mapping::Mapping;
 use crate::observer::Observer;
@@ -21,7 +22,7 @@ use crate::outcome::RunOutcome;
 use crate::pipeline::{StageTimes, Tracked, is_made, number_as_source};
 use crate::plan::RunPlan;
 use crate::statistics::LiveStatistics;
-use crate::views::Posed;
+use crate::views::{MosaicFrames, Posed};
 use odograph::camera::Rig;
 use odograph::error::{Error, Result};
 use odograph::geometry::{PlaneTransform, Sim2};
@@ -62,7 +63,7 @@ pub fn follow(
     watch: &Watch,
     ground: &LiveGround,
     hub: &Arc<Hub>,
-    mapping: Mapping,
+    mut mapping: Mapping,
     recorder: Recorder,
     sinks: LiveSinks<'_, '_>,
     ending: &Ending<'_>,
@@ -96,7 +97,6 @@ pub fn follow(
         layers: PageLayers::default(),
     };
     let ended = capture(opened.source, Arc::clone(&following.queue));
-    let mut mapping = mapping;
     ending.observer.tracking_begins(None);
     let outcome = following.run(ground, &mut mapping);
     ending.observer.tracking_ends();
@@ -104,38 +104,16 @@ pub fn follow(
     following.queue.close();
     let Farewell { warnings, failure, sensors, dropped } = ended.recv_timeout(FAREWELL).unwrap_or_default();
     following.send_status(Phase::Saving);
-    let Some(mosaic_rendering::MosaicRenderingSummary { views, failure: not_kept, times }) = ground.finish()
-    else {
-        return Err(Error::usage("a live run ends once"));
-    };
+    let rendered = ground.finish().ok_or_else(|| Error::usage("a live run ends once"))?;
+    let MosaicRenderingSummary { views, failure: not_kept, times } = rendered;
     following.times.map = times;
     // Also those that were set since tracking ended.
     hub.close_marks();
     following.recorder.record_marks(hub);
-    let live = following.statistics(dropped);
-    let found = following.calibration.as_ref().and_then(OnlineCalibration::found);
-    let mut tracked = Tracked {
-        readout: FoundReadout::of(plan, &following.odometry),
-        defects: following.odometry.image_defects(),
-        marks: following.recorder.report_marks(),
-        keyframes: following.odometry.keyframes(),
-        fixed: FixedInImage::of(&following.odometry),
-        frames: following.frames,
-        recalibrated: following.recalibrated,
-        views,
-        mapping,
-        warnings: warnings.into_iter().chain(log.into_iter().flat_map(McapLog::warnings)).collect(),
-        times: following.times,
-        interrupted: ending.observer.is_stop_asked() || hub.stop_asked(),
-        announced: None,
-        live: Some(live),
-        failure: outcome.err().or(failure).or(not_kept),
-        unmapped: following.unmapped,
-        video: None,
-        mount: FoundMount::of(&plan.rig, found),
-        lens: FoundLens::of(&plan.camera, found),
-    };
-    let mut folder = following.recorder.into_folder();
+    let warnings = warnings.into_iter().chain(log.into_iter().flat_map(McapLog::warnings)).collect();
+    let failure = outcome.err().or(failure).or(not_kept);
+    let (mut tracked, mut folder) = following.end(plan, mapping, views, warnings, dropped, failure);
+    tracked.interrupted = ending.observer.is_stop_asked() || hub.stop_asked();
     let (gnss, left_out) = gnss.finish();
     tracked.warnings.extend(left_out);
     let ending = Ending { sensors: &sensors, gnss: gnss.as_ref(), ..*ending };
@@ -143,15 +121,9 @@ pub fn follow(
     if ground.is_shown() {
         show_results(hub, ground, folder.path());
     }
-    match log.and_then(McapLog::take_failure) {
-        Some(error) => {
-            let said = error.to_string();
-            let others = outcome.warnings.iter().filter(|warning| !warning.contains(&said));
-            others.for_each(|warning| ending.observer.warn(warning));
-            Err(error)
-        }
-        None => Ok(outcome),
-    }
+    let failure = log.and_then(McapLog::take_failure);
+    failure.iter().for_each(|error| give_warnings(&outcome.warnings, error, ending.observer));
+    failure.map_or(Ok(outcome), Err)
 }
 
 /// Closes the queues of the other threads however tracking ends, so that they end too.
@@ -406,6 +378,34 @@ impl Following<'_, '_> {
             distance_m: self.distance_m,
             recording: self.recorder.is_recording(),
         });
+    }
+
+    /// What was tracked, and the folder of its results; `dropped` frames were dropped before they
+    /// were captured.
+    fn end(
+        self,
+        plan: &RunPlan,
+        mapping: Mapping,
+        views: MosaicFrames,
+        warnings: Vec<String>,
+        dropped: u64,
+        failure: Option<Error>,
+    ) -> (Tracked, OutputFolder) {
+        let live = self.statistics(dropped);
+        let found = self.calibration.as_ref().and_then(OnlineCalibration::found);
+        let tracked = Tracked {
+            marks: self.recorder.report_marks(),
+            recalibrated: self.recalibrated,
+            warnings,
+            times: self.times,
+            live: Some(live),
+            failure,
+            unmapped: self.unmapped,
+            mount: FoundMount::of(&plan.rig, found),
+            lens: FoundLens::of(&plan.camera, found),
+            ..Tracked::of(plan, &self.odometry, self.frames, views, mapping)
+        };
+        (tracked, self.recorder.into_folder())
     }
 
     /// `dropped` frames were dropped before they were captured.

@@ -6,7 +6,7 @@
 mod motion;
 
 use super::noise::Wobble;
-use motion::{Bend, Law, SegmentShape, curve};
+use motion::{Bend, Law, SegmentShape, chords_m, curve};
 use odograph::camera::Rig;
 use odograph::error::{Error, Result};
 use odograph::geometry::{GroundPoint, GroundPose, PlaneTransform, Se2};
@@ -116,87 +116,7 @@ impl Path {
         positive("turn rate", turn_rate_rad_s, "radians per second")?;
         let mut path =
             Builder { speed_m_s, turn_rate_rad_s, segments: vec![], end: Se2::IDENTITY, end_s: 0.0 };
-        let line = |direction_rad: f64| SegmentShape::Line { direction_rad };
-        match kind {
-            PathKind::Still { duration_s } => {
-                positive("duration", duration_s, "seconds")?;
-                path.add(SegmentShape::Still, Law::constant(duration_s, 1.0));
-            }
-            PathKind::Straight { length_m } => {
-                positive("length", length_m, "metres")?;
-                path.add(line(0.0), path.drive(length_m, at_rest, at_rest));
-            }
-            PathKind::SquareByTranslation { side_m } => {
-                positive("side", side_m, "metres")?;
-                for side in 0..4 {
-                    let law = path.drive(side_m, at_rest || side > 0, at_rest || side < 3);
-                    path.add(line(f64::from(side) * FRAC_PI_2), law);
-                }
-            }
-            PathKind::SquareWithTurns { side_m } => {
-                positive("side", side_m, "metres")?;
-                for side in 0..4 {
-                    path.add(line(0.0), path.drive(side_m, at_rest || side > 0, true));
-                    let law = path.turn(FRAC_PI_2, true, at_rest || side < 3);
-                    path.add(SegmentShape::Turn { about: (0.0, 0.0), sign: 1.0 }, law);
-                }
-            }
-            PathKind::Pivot { about, turn_rad } => {
-                if !(about.x_m.is_finite() && about.y_m.is_finite()) {
-                    return Err(Error::usage("the pivot is not a point on the ground".to_string()));
-                }
-                positive("turn", turn_rad.abs(), "radians")?;
-                let law = path.turn(turn_rad.abs(), at_rest, at_rest);
-                path.add(SegmentShape::Turn { about: (about.x_m, about.y_m), sign: turn_rad.signum() }, law);
-            }
-            PathKind::FigureEight { length_m, laps } => {
-                positive("length", length_m, "metres")?;
-                positive("number of laps", laps, "laps")?;
-                let motion = SegmentShape::Eight { half_length_m: length_m / 2.0 };
-                // The mean speed over a lap is the configured speed.
-                let rate = speed_m_s * TAU / motion.lap_length_m();
-                path.add(motion, Law::ramped(TAU * laps, rate, at_rest, at_rest));
-            }
-            PathKind::Lanes { length_m, spacing_m, count } => {
-                positive("length", length_m, "metres")?;
-                positive("spacing", spacing_m, "metres")?;
-                if count == 0 || count > 10_000 {
-                    return Err(Error::usage(format!("{count} lanes cannot be driven; 1 to 10000 can")));
-                }
-                for lane in 0..count {
-                    let (first, last) = (lane == 0, lane + 1 == count);
-                    path.add(line(0.0), path.drive(length_m, at_rest && first, at_rest && last));
-                    if !last {
-                        let turn_rad = if lane % 2 == 0 { PI } else { -PI };
-                        // Lateral displacement of a U-turn of length 1; it scales with the length.
-                        let side = curve(Bend::Once { length_m: 1.0, turn_rad }, 1.0).end(1.0).y_m.abs();
-                        let turn_m = spacing_m / side;
-                        path.add(
-                            curve(Bend::Once { length_m: turn_m, turn_rad }, turn_m),
-                            path.drive(turn_m, false, false),
-                        );
-                    }
-                }
-            }
-            PathKind::RandomWalk { length_m, seed } => {
-                positive("length", length_m, "metres")?;
-                // About one change of direction in two metres, by up to 150° to either side.
-                let bend = Bend::RandomWalk { wobble: Wobble::new(seed, 0.25), amplitude_rad: 2.6 };
-                path.add(curve(bend, length_m), path.drive(length_m, at_rest, at_rest));
-            }
-            PathKind::RandomWithin { length_m, radius_m, seed } => {
-                positive("length", length_m, "metres")?;
-                if !(10.0..=1e6).contains(&radius_m) {
-                    return Err(Error::usage(format!(
-                        "the yard's radius is {radius_m}; it must lie between 10 and 1000000 metres"
-                    )));
-                }
-                path.add(
-                    curve(Bend::within(radius_m, length_m, seed), length_m),
-                    path.drive(length_m, at_rest, at_rest),
-                );
-            }
-        }
+        path.add_kind(kind, at_rest)?;
         let duration_s = path.end_s;
         if duration_s.is_nan() || duration_s > 86_400.0 {
             return Err(Error::usage(format!(
@@ -262,14 +182,12 @@ impl Path {
 
     fn measured_length_m(&self) -> f64 {
         let steps = (self.duration_s * 50.0).ceil().clamp(1.0, 1e6) as usize;
-        let place = |i: usize| self.place(self.duration_s * i as f64 / steps as f64);
-        (0..steps)
-            .map(|i| {
-                let (a, b) = (place(i), place(i + 1));
-                (b.x_m - a.x_m).hypot(b.y_m - a.y_m)
-            })
-            .sum()
+        chords_m(steps, |i| self.place(self.duration_s * i as f64 / steps as f64))
     }
+}
+
+fn line(direction_rad: f64) -> SegmentShape {
+    SegmentShape::Line { direction_rad }
 }
 
 /// No measure of a path is larger, in its unit.
@@ -312,6 +230,92 @@ impl Builder {
         self.end = start * motion.end(law.amount);
         self.segments.push(Segment { start_s: self.end_s, start, law, motion });
         self.end_s += law.duration_s();
+    }
+
+    /// Adds the segments of a whole path.
+    fn add_kind(&mut self, kind: PathKind, at_rest: bool) -> Result<()> {
+        match kind {
+            PathKind::Still { duration_s } => {
+                positive("duration", duration_s, "seconds")?;
+                self.add(SegmentShape::Still, Law::constant(duration_s, 1.0));
+            }
+            PathKind::Straight { length_m } => {
+                positive("length", length_m, "metres")?;
+                self.add(line(0.0), self.drive(length_m, at_rest, at_rest));
+            }
+            PathKind::SquareByTranslation { side_m } => {
+                positive("side", side_m, "metres")?;
+                for side in 0..4 {
+                    let law = self.drive(side_m, at_rest || side > 0, at_rest || side < 3);
+                    self.add(line(f64::from(side) * FRAC_PI_2), law);
+                }
+            }
+            PathKind::SquareWithTurns { side_m } => {
+                positive("side", side_m, "metres")?;
+                for side in 0..4 {
+                    self.add(line(0.0), self.drive(side_m, at_rest || side > 0, true));
+                    let law = self.turn(FRAC_PI_2, true, at_rest || side < 3);
+                    self.add(SegmentShape::Turn { about: (0.0, 0.0), sign: 1.0 }, law);
+                }
+            }
+            PathKind::Pivot { about, turn_rad } => {
+                if !(about.x_m.is_finite() && about.y_m.is_finite()) {
+                    return Err(Error::usage("the pivot is not a point on the ground".to_string()));
+                }
+                positive("turn", turn_rad.abs(), "radians")?;
+                let law = self.turn(turn_rad.abs(), at_rest, at_rest);
+                self.add(SegmentShape::Turn { about: (about.x_m, about.y_m), sign: turn_rad.signum() }, law);
+            }
+            PathKind::FigureEight { length_m, laps } => {
+                positive("length", length_m, "metres")?;
+                positive("number of laps", laps, "laps")?;
+                let motion = SegmentShape::Eight { half_length_m: length_m / 2.0 };
+                // The mean speed over a lap is the configured speed.
+                let rate = self.speed_m_s * TAU / motion.lap_length_m();
+                self.add(motion, Law::ramped(TAU * laps, rate, at_rest, at_rest));
+            }
+            PathKind::Lanes { length_m, spacing_m, count } => {
+                self.add_lanes(length_m, spacing_m, count, at_rest)?;
+            }
+            PathKind::RandomWalk { length_m, seed } => {
+                positive("length", length_m, "metres")?;
+                // About one change of direction in two metres, by up to 150° to either side.
+                let bend = Bend::RandomWalk { wobble: Wobble::new(seed, 0.25), amplitude_rad: 2.6 };
+                self.add(curve(bend, length_m), self.drive(length_m, at_rest, at_rest));
+            }
+            PathKind::RandomWithin { length_m, radius_m, seed } => {
+                positive("length", length_m, "metres")?;
+                if !(10.0..=1e6).contains(&radius_m) {
+                    return Err(Error::usage(format!(
+                        "the yard's radius is {radius_m}; it must lie between 10 and 1000000 metres"
+                    )));
+                }
+                let bend = Bend::within(radius_m, length_m, seed);
+                self.add(curve(bend, length_m), self.drive(length_m, at_rest, at_rest));
+            }
+        }
+        Ok(())
+    }
+
+    fn add_lanes(&mut self, length_m: f64, spacing_m: f64, count: u32, at_rest: bool) -> Result<()> {
+        positive("length", length_m, "metres")?;
+        positive("spacing", spacing_m, "metres")?;
+        if count == 0 || count > 10_000 {
+            return Err(Error::usage(format!("{count} lanes cannot be driven; 1 to 10000 can")));
+        }
+        for lane in 0..count {
+            let (first, last) = (lane == 0, lane + 1 == count);
+            self.add(line(0.0), self.drive(length_m, at_rest && first, at_rest && last));
+            if !last {
+                let turn_rad = if lane % 2 == 0 { PI } else { -PI };
+                // Lateral displacement of a U-turn of length 1; it scales with the length.
+                let side = curve(Bend::Once { length_m: 1.0, turn_rad }, 1.0).end(1.0).y_m.abs();
+                let turn_m = spacing_m / side;
+                let turn = curve(Bend::Once { length_m: turn_m, turn_rad }, turn_m);
+                self.add(turn, self.drive(turn_m, false, false));
+            }
+        }
+        Ok(())
     }
 }
 

@@ -131,15 +131,14 @@ impl SegmentShape {
     }
 
     pub(super) fn lap_length_m(&self) -> f64 {
-        let n = 2000;
-        let place = |i: usize| self.end(TAU * i as f64 / n as f64);
-        (0..n)
-            .map(|i| {
-                let (a, b) = (place(i), place(i + 1));
-                (b.x_m - a.x_m).hypot(b.y_m - a.y_m)
-            })
-            .sum()
+        chords_m(2000, |i| self.end(TAU * i as f64 / 2000.0))
     }
+}
+
+/// Length of the polygon through the places with the numbers 0 to `count`, metres.
+pub(super) fn chords_m(count: usize, place: impl Fn(usize) -> Se2) -> f64 {
+    let chord_m = |[a, b]: [Se2; 2]| (b.x_m - a.x_m).hypot(b.y_m - a.y_m);
+    (0..count).map(|i| chord_m([place(i), place(i + 1)])).sum()
 }
 
 /// A curve of that length: positions are tabulated every few centimetres and integrated exactly

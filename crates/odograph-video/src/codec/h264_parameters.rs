@@ -33,39 +33,14 @@ impl SequenceParameters {
         let profile = bits.bits(8)? as u8;
         bits.skip(16)?;
         bits.ue()?;
-        let (mut chroma_format, mut bit_depth, mut may_be_lossless) = (1, 8, false);
-        if matches!(profile, 100 | 110 | 122 | 244 | 44 | 83 | 86 | 118 | 128 | 138 | 139 | 134 | 135) {
-            chroma_format = bits.ue()?;
-            if chroma_format == 3 {
-                bits.bit()?;
+        let (chroma_format, bit_depth, may_be_lossless) = match profile {
+            100 | 110 | 122 | 244 | 44 | 83 | 86 | 118 | 128 | 138 | 139 | 134 | 135 => {
+                read_format(&mut bits)?
             }
-            bit_depth = bits.ue()?.checked_add(8)?;
-            bits.ue()?;
-            may_be_lossless = bits.bit()?;
-            if bits.bit()? {
-                for list in 0..if chroma_format == 3 { 12 } else { 8 } {
-                    if bits.bit()? {
-                        skip_scaling_list(&mut bits, if list < 6 { 16 } else { 64 })?;
-                    }
-                }
-            }
-        }
+            _ => (1, 8, false),
+        };
         bits.ue()?;
-        let order_count_type = bits.ue()?;
-        match order_count_type {
-            0 => {
-                bits.ue()?;
-            }
-            1 => {
-                bits.bit()?;
-                bits.se()?;
-                bits.se()?;
-                for _ in 0..bits.ue()? {
-                    bits.se()?;
-                }
-            }
-            _ => {}
-        }
+        let order_count_type = read_order_count_type(&mut bits)?;
         bits.ue()?;
         bits.bit()?;
         let coded_width = 16 * (bits.ue()? as usize).checked_add(1)?;
@@ -77,10 +52,7 @@ impl SequenceParameters {
         bits.bit()?;
         let mut crops_left_or_top = false;
         if bits.bit()? {
-            let left = bits.ue()?;
-            bits.ue()?;
-            let top = bits.ue()?;
-            bits.ue()?;
+            let [left, _, top, _] = [bits.ue()?, bits.ue()?, bits.ue()?, bits.ue()?];
             crops_left_or_top = left > 0 || top > 0;
         }
         let mut read = Self {
@@ -174,6 +146,41 @@ pub(super) fn read_color_encoding(bits: &mut Bits<'_>, encoding: &mut ColorEncod
         bits.ue()?;
     }
     Some(())
+}
+
+/// Reads the chroma format, the bit depth of the luminance, and whether lossless macroblocks may
+/// occur, of a profile that states them.
+fn read_format(bits: &mut Bits<'_>) -> Option<(u32, u32, bool)> {
+    let chroma_format = bits.ue()?;
+    if chroma_format == 3 {
+        bits.bit()?;
+    }
+    let bit_depth = bits.ue()?.checked_add(8)?;
+    bits.ue()?;
+    let may_be_lossless = bits.bit()?;
+    if bits.bit()? {
+        for list in 0..if chroma_format == 3 { 12 } else { 8 } {
+            if bits.bit()? {
+                skip_scaling_list(bits, if list < 6 { 16 } else { 64 })?;
+            }
+        }
+    }
+    Some((chroma_format, bit_depth, may_be_lossless))
+}
+
+fn read_order_count_type(bits: &mut Bits<'_>) -> Option<u32> {
+    let order_count_type = bits.ue()?;
+    if order_count_type == 0 {
+        bits.ue()?;
+    } else if order_count_type == 1 {
+        bits.bit()?;
+        bits.se()?;
+        bits.se()?;
+        for _ in 0..bits.ue()? {
+            bits.se()?;
+        }
+    }
+    Some(order_count_type)
 }
 
 fn skip_scaling_list(bits: &mut Bits<'_>, size: u32) -> Option<()> {

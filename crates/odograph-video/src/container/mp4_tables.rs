@@ -48,12 +48,16 @@ const UPRIGHT: Matrix2 = [[1, 0], [0, 1]];
 /// Timescale of the movie and the 2 × 2 part of its matrix.
 fn movie_header(moov: &[u8]) -> Option<(u32, Matrix2)> {
     let mut bytes = child(moov, b"mvhd")?;
-    let version = bytes.u32()? >> 24;
-    bytes.skip(if version == 1 { 16 } else { 8 })?;
-    let timescale = bytes.u32()?;
-    bytes.skip(if version == 1 { 8 } else { 4 })?;
-    bytes.skip(16)?;
+    let (timescale, wide) = after_dates(&mut bytes)?;
+    bytes.skip(if wide { 24 } else { 20 })?;
     Some((timescale.max(1), matrix(&mut bytes).unwrap_or(UPRIGHT)))
+}
+
+/// The field after the two dates of a header, and whether its times are of 64 bits.
+fn after_dates(bytes: &mut Bytes<'_>) -> Option<(u32, bool)> {
+    let wide = bytes.u32()? >> 24 == 1;
+    bytes.skip(if wide { 16 } else { 8 })?;
+    Some((bytes.u32()?, wide))
 }
 
 /// Signs of the 2 × 2 part of a transformation matrix `{a b u; c d v; x y w}` (14496-12, 8.3.2).
@@ -104,21 +108,12 @@ fn track(
     }
     let header = || -> Option<(u32, Matrix2)> {
         let mut bytes = child(trak, b"tkhd")?;
-        let version = bytes.u32()? >> 24;
-        bytes.skip(if version == 1 { 16 } else { 8 })?;
-        let id = bytes.u32()?;
-        bytes.skip(if version == 1 { 12 } else { 8 })?;
-        bytes.skip(16)?;
+        let (id, wide) = after_dates(&mut bytes)?;
+        bytes.skip(if wide { 28 } else { 24 })?;
         Some((id, matrix(&mut bytes)?))
     };
     let (id, track_matrix) = header().unwrap_or((0, UPRIGHT));
-    let timescale = child(mdia, b"mdhd")
-        .and_then(|mut b| {
-            let version = b.u32()? >> 24;
-            b.skip(if version == 1 { 16 } else { 8 })?;
-            b.u32()
-        })
-        .filter(|&t| t > 0);
+    let timescale = child(mdia, b"mdhd").and_then(|mut b| Some(after_dates(&mut b)?.0)).filter(|&t| t > 0);
     let (Some(timescale), Some(stbl)) =
         (timescale, child(mdia, b"minf").and_then(|minf| child(minf.rest(), b"stbl")).map(|b| b.rest()))
     else {
@@ -176,7 +171,14 @@ fn edit_list(trak: &[u8], movie_timescale: f64, timescale: f64) -> Vec<Edit> {
 /// Offsets, sizes and timestamps of the samples of an unfragmented track, and whether frames are
 /// reordered.
 fn sample_table(stbl: &[u8]) -> Result<(Vec<Sample>, bool)> {
-    let mut samples: Vec<Sample> = Vec::new();
+    let mut samples = placed_samples(stbl, sample_sizes(stbl)?);
+    set_decoding_times(stbl, &mut samples);
+    let reordered = add_composition_offsets(stbl, &mut samples);
+    Ok((samples, reordered))
+}
+
+/// Sizes of the samples in bytes (14496-12, 8.7.3).
+fn sample_sizes(stbl: &[u8]) -> Result<Vec<u32>> {
     let mut sizes = Vec::new();
     if let Some(mut bytes) = child(stbl, b"stsz") {
         let head = (bytes.u32(), bytes.u32(), bytes.u32());
@@ -197,10 +199,13 @@ fn sample_table(stbl: &[u8]) -> Result<(Vec<Sample>, bool)> {
         }
         sizes.truncate(count as usize);
     }
-    if sizes.len() > MAX_SAMPLES {
-        return Err(too_many());
-    }
+    if sizes.len() > MAX_SAMPLES { Err(too_many()) } else { Ok(sizes) }
+}
 
+/// Samples of these sizes at their offsets: chunks (14496-12, 8.7.4 and 8.7.5) hold them one after
+/// another.
+fn placed_samples(stbl: &[u8], sizes: Vec<u32>) -> Vec<Sample> {
+    let mut samples = Vec::new();
     let (mut chunks, wide) = match (child(stbl, b"stco"), child(stbl, b"co64")) {
         (Some(bytes), _) => (bytes, false),
         (None, Some(bytes)) => (bytes, true),
@@ -214,50 +219,47 @@ fn sample_table(stbl: &[u8]) -> Result<(Vec<Sample>, bool)> {
     let mut following = run();
     let mut chunk = 0u32;
     let mut sizes = sizes.into_iter();
-    'chunks: while let Some(mut offset) = if wide { chunks.u64() } else { chunks.u32().map(u64::from) } {
+    while let Some(mut offset) = if wide { chunks.u64() } else { chunks.u32().map(u64::from) } {
         chunk += 1;
         while following.is_some_and(|(first, ..)| chunk >= first) {
             now = following;
             following = run();
         }
         for _ in 0..now.map_or(0, |(_, per_chunk, _)| per_chunk) {
-            let Some(size) = sizes.next() else { break 'chunks };
+            let Some(size) = sizes.next() else { return samples };
             samples.push(Sample { offset, size, time: 0 });
             offset = offset.saturating_add(u64::from(size));
         }
     }
+    samples
+}
 
-    let mut decode_time = 0i64;
-    if let Some(mut bytes) = child(stbl, b"stts") {
-        bytes.skip(8);
-        let mut at = samples.iter_mut();
-        let mut delta = 0;
-        'runs: while let (Some(count), Some(step)) = (bytes.u32(), bytes.u32()) {
-            delta = i64::from(step as i32); // some QuickTime writers write negative deltas
-            for _ in 0..count {
-                let Some(sample) = at.next() else { break 'runs };
-                sample.time = decode_time;
-                decode_time = decode_time.saturating_add(delta);
-            }
-        }
-        for sample in at {
-            sample.time = decode_time;
-            decode_time = decode_time.saturating_add(delta);
-        }
+/// Decoding times (14496-12, 8.6.1.2); the last interval holds for samples beyond the table.
+fn set_decoding_times(stbl: &[u8], samples: &mut [Sample]) {
+    let (mut time, mut delta) = (0i64, 0);
+    let mut steps = run_values(stbl, b"stts");
+    for sample in samples {
+        // Some QuickTime writers write negative intervals.
+        delta = steps.next().unwrap_or(delta);
+        sample.time = time;
+        time = time.saturating_add(delta);
     }
-    let mut reordered = false;
-    if let Some(mut bytes) = child(stbl, b"ctts") {
-        bytes.skip(8);
-        reordered = true;
-        let mut at = samples.iter_mut();
-        'offsets: while let (Some(count), Some(offset)) = (bytes.u32(), bytes.i32()) {
-            for _ in 0..count {
-                let Some(sample) = at.next() else { break 'offsets };
-                sample.time = sample.time.saturating_add(i64::from(offset));
-            }
-        }
+}
+
+/// Moves decoding times to presentation times (14496-12, 8.6.1.3); whether frames are reordered.
+fn add_composition_offsets(stbl: &[u8], samples: &mut [Sample]) -> bool {
+    for (sample, offset) in samples.iter_mut().zip(run_values(stbl, b"ctts")) {
+        sample.time = sample.time.saturating_add(offset);
     }
-    Ok((samples, reordered))
+    child(stbl, b"ctts").is_some()
+}
+
+/// The signed values of a run-length coded table, one for each sample.
+fn run_values(stbl: &[u8], table: &[u8; 4]) -> impl Iterator<Item = i64> {
+    let mut bytes = child(stbl, table).unwrap_or(Bytes::new(&[]));
+    bytes.skip(8);
+    let runs = std::iter::from_fn(move || Some((bytes.u32()?, bytes.i32()?)));
+    runs.flat_map(|(count, value)| std::iter::repeat_n(i64::from(value), count as usize))
 }
 
 #[cfg(test)]

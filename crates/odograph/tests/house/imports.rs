@@ -147,7 +147,7 @@ impl Imports {
 }
 
 /// A shortest circle through `start`, if there is one.
-fn circle(imports: &BTreeMap<String, BTreeSet<String>>, start: &String) -> Option<Vec<String>> {
+pub fn circle(imports: &BTreeMap<String, BTreeSet<String>>, start: &String) -> Option<Vec<String>> {
     let mut routes = vec![vec![start.clone()]];
     let mut seen = BTreeSet::new();
     while !routes.is_empty() {

@@ -9,7 +9,7 @@ use super::{
 use crate::commands::live::{Offer, Serving};
 use crate::report::calibration::pixels_text;
 use crate::{Outcome, interrupt};
-use odograph::error::{Error, Result};
+use odograph::error::{Error, ErrorKind, Result};
 use odograph::image::GrayImage;
 use odograph::mosaic::Mosaic;
 use odograph::numerics::median;
@@ -22,6 +22,7 @@ use odograph_session::SourcePlan;
 use odograph_session::live::{
     FAREWELL, FRAMES_WAITING, LiveInput, PATIENCE, STATUS_EVERY, capture, open_live_input,
 };
+use odograph_video::SourceInfo;
 use serde_json::json;
 use std::path::Path;
 use std::sync::{Arc, Mutex, mpsc};
@@ -60,18 +61,8 @@ pub fn calibrate(
     let opened = open(arguments, &watch)?;
     let info = opened.source.info().clone();
     let name = &without_credentials(arguments.sources.first().map_or("", String::as_str));
-    let introduction = Introduction {
-        title: format!("calibration with {}", if name == "-" { "standard input" } else { name }),
-        source: info.description.clone(),
-        width: info.width,
-        height: info.height,
-        height_m: 0.0,
-        live: true,
-        recovered: false,
-        calibration: true,
-    };
     let no_ground = Mutex::new(Mosaic::new(Default::default()));
-    let hub = Arc::new(Hub::new(introduction, Arc::new(no_ground)));
+    let hub = Arc::new(Hub::new(introduction(name, &info), Arc::new(no_ground)));
     let serving = Serving::start(&arguments.serve, hub, offer(output))?;
     if !arguments.quiet {
         serving.print_address("");
@@ -79,7 +70,6 @@ pub fn calibrate(
     let started = Instant::now();
     let queue = Arc::new(Newest::new(opened.policy, FRAMES_WAITING));
     let ended = capture(opened.source, Arc::clone(&queue));
-    let gathering = Gathering::new(&board, selection, info.description.clone());
     let mut showing = Showing {
         hub: serving.hub(),
         watch: &watch,
@@ -87,7 +77,7 @@ pub fn calibrate(
         finder: BoardFinder::new(&board),
         board: &board,
         config: arguments.config(),
-        gathering,
+        gathering: Gathering::new(&board, selection, info.description),
         guidance: None,
         guided: None,
         sent: None,
@@ -104,31 +94,32 @@ pub fn calibrate(
     // A lost camera ends the calibration; the views until then may suffice.
     search.warnings.extend(farewell.failure.as_ref().map(ToString::to_string));
     let source = SearchedSource { description: name.to_owned(), searched: started.elapsed() };
-    let concluded = conclude(arguments, board, search, selection, source).and_then(|calibrated| {
-        output.write(&calibrated)?;
-        Ok(calibrated)
-    });
-    let calibrated = match concluded {
-        Ok(calibrated) => calibrated,
-        Err(error) => {
-            serving.set_phase(Phase::Failed, Some(&error));
-            if !interrupt::asked() {
-                serving.linger(arguments.quiet);
-            }
-            // The loss of the camera takes precedence over a board that was not found.
-            return Err(farewell
-                .failure
-                .filter(|_| error.kind() == odograph::error::ErrorKind::Input)
-                .unwrap_or(error));
-        }
-    };
+    let concluded = conclude(arguments, board, search, selection, source)
+        .and_then(|calibrated| output.write(&calibrated).map(|_| calibrated));
+    let calibrated = concluded.map_err(|error| {
+        serving.set_phase(Phase::Failed, Some(&error));
+        serving.linger(arguments.quiet);
+        // The loss of the camera takes precedence over a board that was not found.
+        farewell.failure.filter(|_| error.kind() == ErrorKind::Input).unwrap_or(error)
+    })?;
     send_result(serving.hub(), &calibrated);
     serving.set_phase(Phase::Saved, None);
     let outcome = super::print_summary(arguments, &calibrated, output)?;
-    if !interrupt::asked() {
-        serving.linger(arguments.quiet);
-    }
+    serving.linger(arguments.quiet);
     Ok(outcome)
+}
+
+fn introduction(name: &str, info: &SourceInfo) -> Introduction {
+    Introduction {
+        title: format!("calibration with {}", if name == "-" { "standard input" } else { name }),
+        source: info.description.clone(),
+        width: info.width,
+        height: info.height,
+        height_m: 0.0,
+        live: true,
+        recovered: false,
+        calibration: true,
+    }
 }
 
 fn open(arguments: &CalibrateArguments, watch: &Watch) -> Result<LiveInput> {

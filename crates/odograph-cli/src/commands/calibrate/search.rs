@@ -2,9 +2,9 @@
 //! threads gives the same result.
 
 use super::input::{Input, SearchedImage};
-use crate::interrupt;
 use crate::report::calibration::{BoardDetections, Thumbnail};
-use indicatif::{ProgressBar, ProgressStyle};
+use crate::{console, interrupt};
+use indicatif::ProgressBar;
 use odograph::error::{Error, Result};
 use odograph::image::GrayImage;
 use odograph_calibration::selection::{SelectionConfig, Sighting, ViewSelector, blur_px};
@@ -111,6 +111,8 @@ impl FrameSearch {
 const MAX_NAMED: usize = 100;
 /// Number of different reasons that are counted: there could be as many board sizes as frames.
 const MAX_REASONS: usize = 8;
+/// Frames searched, and what was found.
+const COUNTED: [&str; 2] = ["{bar:12} {pos}/{len} frames{wide_msg}", "{pos} frames{wide_msg}"];
 
 /// Looks for the board in every frame.
 pub fn search(
@@ -123,7 +125,7 @@ pub fn search(
     let finder = BoardFinder::new(board);
     let mut gathering = Gathering {
         photographs: input.frame_count.is_some_and(|count| count <= selection.most_views as u64),
-        progress: progress(input.frame_count, quiet),
+        progress: console::progress_as(COUNTED, input.frame_count, quiet),
         ..Gathering::new(board, selection, input.kind())
     };
     let available = || thread::available_parallelism().map_or(1, usize::from);
@@ -335,21 +337,6 @@ fn alike(one: &NotFound, other: &NotFound) -> bool {
         NotFound::OtherSize { .. } => one == other,
         _ => std::mem::discriminant(one) == std::mem::discriminant(other),
     }
-}
-
-/// A bar if the number of frames is known, otherwise a count; nothing if standard error is no
-/// terminal.
-fn progress(frames: Option<u64>, quiet: bool) -> ProgressBar {
-    if quiet {
-        return ProgressBar::hidden();
-    }
-    let bar = frames.map_or_else(ProgressBar::new_spinner, ProgressBar::new);
-    let template =
-        if frames.is_some() { "{bar:12} {pos}/{len} frames{wide_msg}" } else { "{pos} frames{wide_msg}" };
-    if let Ok(style) = ProgressStyle::with_template(template) {
-        bar.set_style(style);
-    }
-    bar
 }
 
 #[cfg(test)]

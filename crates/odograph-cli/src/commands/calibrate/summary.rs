@@ -6,7 +6,7 @@ use super::output::CalibrationOutput;
 use crate::console::{self, quoted};
 use crate::report::calibration::{lens_name, pixels_text};
 use odograph::drawing::scale::label;
-use odograph_calibration::Verdict;
+use odograph_calibration::{Calibration, Verdict};
 use std::fmt::Write;
 
 /// The summary of a calibration.
@@ -31,25 +31,7 @@ pub fn text(calibrated: &CalibrationResult, output: &CalibrationOutput) -> Strin
     for reason in calibration.reasons.iter().take(3) {
         let _ = writeln!(text, "  · {reason}");
     }
-    let (camera, (focal_px, deviation_px)) = (&calibration.camera, focal_px(calibration));
-    let (fx, fy) = camera.focal_px();
-    let deviation_of =
-        |name: &str| calibration.parameters.iter().find(|p| p.name == name).map_or(0.0, |p| p.deviation);
-    let step = |deviation: f64| if deviation < 0.05 { 0.01 } else { 0.1 };
-    let middle_deviation_px = deviation_of("cx").max(deviation_of("cy"));
-    let (focal_step, middle_step) = (step(deviation_px), step(middle_deviation_px));
-    let down =
-        if fx == fy { String::new() } else { format!(" and {}", label(focal_px * fy / fx, focal_step)) };
-    let _ = writeln!(
-        text,
-        "focal length {}{down} ± {} px, principal point {}, {} ± {} px; {}",
-        label(focal_px, focal_step),
-        label(deviation_px, focal_step),
-        label(camera.principal_px().0, middle_step),
-        label(camera.principal_px().1, middle_step),
-        label(middle_deviation_px, middle_step),
-        lens_name(calibration.model)
-    );
+    let _ = writeln!(text, "{}", lens(calibration));
     if let Some(bent) = &calibrated.bent {
         let _ = writeln!(
             text,
@@ -60,12 +42,9 @@ pub fn text(calibrated: &CalibrationResult, output: &CalibrationOutput) -> Strin
         );
     }
     // Most important first; the report has them all.
-    if calibration.verdict != Verdict::Good {
-        let hints: Vec<String> =
-            calibrated.guidance.missing.iter().take(3).map(ToString::to_string).collect();
-        if !hints.is_empty() {
-            let _ = writeln!(text, "Next time: {}", hints.join("; "));
-        }
+    let hints: Vec<String> = calibrated.guidance.missing.iter().take(3).map(ToString::to_string).collect();
+    if calibration.verdict != Verdict::Good && !hints.is_empty() {
+        let _ = writeln!(text, "Next time: {}", hints.join("; "));
     }
     let _ = writeln!(text, "Look at {}", console::name(output.report_page()));
     let camera = quoted(output.camera_file());
@@ -82,6 +61,28 @@ pub fn text(calibrated: &CalibrationResult, output: &CalibrationOutput) -> Strin
         }
     }
     text
+}
+
+/// Focal length and principal point, to the digits that their deviations leave, and the lens model.
+fn lens(calibration: &Calibration) -> String {
+    let (camera, (focal_px, deviation_px)) = (&calibration.camera, focal_px(calibration));
+    let (fx, fy) = camera.focal_px();
+    let deviation_of =
+        |name: &str| calibration.parameters.iter().find(|p| p.name == name).map_or(0.0, |p| p.deviation);
+    let step = |deviation: f64| if deviation < 0.05 { 0.01 } else { 0.1 };
+    let middle_deviation_px = deviation_of("cx").max(deviation_of("cy"));
+    let (focal_step, middle_step) = (step(deviation_px), step(middle_deviation_px));
+    let down =
+        if fx == fy { String::new() } else { format!(" and {}", label(focal_px * fy / fx, focal_step)) };
+    format!(
+        "focal length {}{down} ± {} px, principal point {}, {} ± {} px; {}",
+        label(focal_px, focal_step),
+        label(deviation_px, focal_step),
+        label(camera.principal_px().0, middle_step),
+        label(camera.principal_px().1, middle_step),
+        label(middle_deviation_px, middle_step),
+        lens_name(calibration.model)
+    )
 }
 
 /// The figures of a calibration for other programs, on one line.

@@ -41,49 +41,18 @@ pub fn measure(arguments: &GroundArguments) -> Result<RigMeasurement> {
             "a recording of driving is read twice and cannot come from standard input; give a file",
         ));
     }
-    let given_m = match (arguments.height, arguments.distance) {
-        (Some(height), _) => {
-            if !arguments.quiet {
-                height.question();
-            }
-            height.metres
-        }
-        (None, Some(distance)) if distance.metres.is_finite() && distance.metres > 0.0 => 1.0,
-        (None, Some(Typed { metres: distance_m, .. })) => {
-            return Err(Error::usage(format!(
-                "a distance of {distance_m} m is not usable; it must be a positive number of metres"
-            )));
-        }
-        (None, None) => {
-            return Err(Error::usage(
-                "driving alone does not determine the height; give --height LENGTH, or --distance LENGTH as driven in the recording, or \
-                 --board BOARD for pictures of a board on the floor",
-            ));
-        }
-    };
+    let given_m = assumed_height_m(arguments)?;
     let begin = match &arguments.rig {
         Some(path) => read_rig(path, &ConsoleObserver::new(arguments.quiet))?,
         None => Rig::level(1.0),
     };
-    let mut rig = Rig { height_m: given_m, ..begin }.validated()?;
+    let rig = Rig { height_m: given_m, ..begin }.validated()?;
     let size = {
         let source = open_recording(path, &arguments.source_options())?;
         (source.info().width, source.info().height)
     };
-    let (mut camera, uncertainty) = read_camera(&arguments.camera, arguments.source(), size)?;
-    let mut pass = follow(arguments, path, &camera, uncertainty.as_ref(), rig, 1)?;
-    let mut lens_off_px = None;
-    for number in 0..MAX_PASSES {
-        let off_rad = (pass.found.roll_rad - rig.roll_rad).hypot(pass.found.pitch_rad - rig.pitch_rad);
-        if let Some(lens) = pass.lens.take().filter(|_| lens_off_px.is_none()) {
-            lens_off_px = Some(lens.off_px);
-            camera = lens.camera;
-        } else if off_rad < AGAIN_DEG.to_radians() {
-            break;
-        }
-        rig = Rig { roll_rad: pass.found.roll_rad, pitch_rad: pass.found.pitch_rad, ..rig };
-        pass = follow(arguments, path, &camera, uncertainty.as_ref(), rig, number + 2)?;
-    }
+    let (camera, uncertainty) = read_camera(&arguments.camera, arguments.source(), size)?;
+    let (pass, lens_off_px) = follow_until_converged(arguments, path, camera, uncertainty.as_ref(), rig)?;
     let found = &pass.found;
     if let Observability::Partial { worst, deviation_rad } = found.observability {
         return Err(Error::input(not_revealed(path, worst, deviation_rad)));
@@ -122,6 +91,51 @@ pub fn measure(arguments: &GroundArguments) -> Result<RigMeasurement> {
         points: Vec::new(),
         forward_known: false,
     })
+}
+
+/// The height over ground at which the recording is tracked: 1 m where a distance scales the path.
+fn assumed_height_m(arguments: &GroundArguments) -> Result<f64> {
+    match (arguments.height, arguments.distance) {
+        (Some(height), _) => {
+            if !arguments.quiet {
+                height.question();
+            }
+            Ok(height.metres)
+        }
+        (None, Some(distance)) if distance.metres.is_finite() && distance.metres > 0.0 => Ok(1.0),
+        (None, Some(Typed { metres: distance_m, .. })) => Err(Error::usage(format!(
+            "a distance of {distance_m} m is not usable; it must be a positive number of metres"
+        ))),
+        (None, None) => Err(Error::usage(
+            "driving alone does not determine the height; give --height LENGTH, or --distance LENGTH as driven in the recording, or \
+             --board BOARD for pictures of a board on the floor",
+        )),
+    }
+}
+
+/// The last pass, with the lens if it was found to differ, and by how much that is at the edge of
+/// the image, pixels.
+fn follow_until_converged(
+    arguments: &GroundArguments,
+    path: &str,
+    mut camera: Camera,
+    uncertainty: Option<&CameraUncertainty>,
+    mut rig: Rig,
+) -> Result<(CalibrationPass, Option<f64>)> {
+    let mut pass = follow(arguments, path, &camera, uncertainty, rig, 1)?;
+    let mut lens_off_px = None;
+    for number in 0..MAX_PASSES {
+        let off_rad = (pass.found.roll_rad - rig.roll_rad).hypot(pass.found.pitch_rad - rig.pitch_rad);
+        if let Some(lens) = pass.lens.take().filter(|_| lens_off_px.is_none()) {
+            lens_off_px = Some(lens.off_px);
+            camera = lens.camera;
+        } else if off_rad < AGAIN_DEG.to_radians() {
+            break;
+        }
+        rig = Rig { roll_rad: pass.found.roll_rad, pitch_rad: pass.found.pitch_rad, ..rig };
+        pass = follow(arguments, path, &camera, uncertainty, rig, number + 2)?;
+    }
+    Ok((pass, lens_off_px))
 }
 
 /// Number of further passes: then the lens is known, and the tilt has converged to a hundredth of

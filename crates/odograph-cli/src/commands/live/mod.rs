@@ -9,7 +9,7 @@ mod serving;
 
 use super::run::{ConsoleObserver, LogArguments, MarkerArguments, MountedCameraArguments, print_summary};
 use super::site::SiteLinkArguments;
-use crate::{Outcome, interrupt};
+use crate::Outcome;
 pub use capture_arguments::CaptureArguments;
 use gnss_arguments::GnssArguments;
 use odograph::error::Result;
@@ -133,16 +133,8 @@ pub fn live(arguments: LiveArguments) -> Result<Outcome> {
     observer.log_plan(run.plan(), run.source());
     let result = run.follow(Some(&mut outputs), &observer);
     serving.set_phase(if result.is_ok() { Phase::Saved } else { Phase::Failed }, result.as_ref().err());
-    let outcome = match result {
-        Ok(outcome) => outcome,
-        Err(error) => {
-            // The page still shows the last state, and the error.
-            if !interrupt::asked() {
-                serving.linger(arguments.quiet);
-            }
-            return Err(error);
-        }
-    };
+    // The page still shows the last state, and the error.
+    let outcome = result.inspect_err(|_| serving.linger(arguments.quiet))?;
     observer.log_times(&outcome.statistics);
     drop(outputs);
     if let Some(link) = link {
@@ -151,8 +143,6 @@ pub fn live(arguments: LiveArguments) -> Result<Outcome> {
     if arguments.print.is_none() {
         print_summary(&outcome, arguments.quiet, arguments.json)?;
     }
-    if !interrupt::asked() {
-        serving.linger(arguments.quiet);
-    }
+    serving.linger(arguments.quiet);
     Ok(outcome.end.into())
 }

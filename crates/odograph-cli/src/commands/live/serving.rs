@@ -111,9 +111,9 @@ impl Serving {
         self.hub.set_status(status);
     }
 
-    /// Waits while there are viewers.
+    /// Waits while there are viewers, unless the program is asked to end.
     pub fn linger(&self, quiet: bool) {
-        if self.server.is_none() || self.hub.viewers() == 0 {
+        if interrupt::asked() || self.server.is_none() || self.hub.viewers() == 0 {
             return;
         }
         if !quiet {

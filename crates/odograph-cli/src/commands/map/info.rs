@@ -1,5 +1,6 @@
 //! `odograph map info`: what a map holds.
 
+use super::root;
 use crate::{Outcome, console};
 use odograph::camera::{Camera, Rig};
 use odograph::error::{Error, Result};
@@ -223,17 +224,10 @@ pub fn pieces(map: &GroundMap) -> usize {
     let place: BTreeMap<KeyframeId, usize> =
         map.keyframes.iter().enumerate().map(|(index, keyframe)| (keyframe.id, index)).collect();
     let mut leader: Vec<usize> = (0..place.len()).collect();
-    let find = |leader: &mut Vec<usize>, mut of: usize| {
-        while leader[of] != of {
-            leader[of] = leader[leader[of]];
-            of = leader[of];
-        }
-        of
-    };
     let mut pieces = place.len();
     for edge in &map.edges {
         let (Some(&from), Some(&to)) = (place.get(&edge.from), place.get(&edge.to)) else { continue };
-        let (from, to) = (find(&mut leader, from), find(&mut leader, to));
+        let (from, to) = (root(&mut leader, from), root(&mut leader, to));
         if from != to {
             leader[from] = to;
             pieces -= 1;

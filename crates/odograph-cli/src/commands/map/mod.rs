@@ -42,3 +42,12 @@ pub fn map(arguments: MapArguments) -> Result<Outcome> {
         MapCommand::Repair(arguments) => repair::repair(&arguments),
     }
 }
+
+/// The root of a node of a forest, whose roots are their own parents; halves the way to it.
+fn root(parents: &mut [usize], mut node: usize) -> usize {
+    while parents[node] != node {
+        parents[node] = parents[parents[node]];
+        node = parents[node];
+    }
+    node
+}

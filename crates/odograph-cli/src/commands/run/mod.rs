@@ -208,10 +208,7 @@ impl RunArguments {
             )));
         }
         let run = RunBuilder::resuming(folder)?.reporter(HtmlReporter);
-        Ok(match self.output.threads {
-            Some(threads) => run.threads(usize::from(threads)),
-            None => run,
-        })
+        Ok(self.output.threads.iter().fold(run, |run, threads| run.threads(usize::from(*threads))))
     }
 
     /// The run with these options, over `source` into `folder`.
@@ -226,14 +223,8 @@ impl RunArguments {
         let run = self.site.robot.iter().fold(run, RunBuilder::robot);
         let run = self.bag_out.iter().fold(run, RunBuilder::bag);
         let run = self.video_out.iter().fold(run, RunBuilder::video);
-        let run = match &self.output.map {
-            Some(map) => run.map(MapUse::Continue(map.clone())),
-            None => run,
-        };
-        Ok(match self.output.threads {
-            Some(threads) => run.threads(usize::from(threads)),
-            None => run,
-        })
+        let run = self.output.map.iter().fold(run, |run, map| run.map(MapUse::Continue(map.clone())));
+        Ok(self.output.threads.iter().fold(run, |run, threads| run.threads(usize::from(*threads))))
     }
 
     /// The run over a recording.

@@ -171,13 +171,7 @@ impl SimulationOutput {
         if !frames.exists() {
             return fs::rename(part, frames);
         }
-        // Other files in that folder stay.
-        for entry in fs::read_dir(frames)? {
-            let entry = entry?;
-            if is_picture_name(&entry.file_name().to_string_lossy()) {
-                fs::remove_file(entry.path())?;
-            }
-        }
+        remove_pictures(frames)?;
         for entry in fs::read_dir(part)? {
             let entry = entry?;
             fs::rename(entry.path(), frames.join(entry.file_name()))?;
@@ -253,12 +247,7 @@ impl SimulationOutput {
         if keep == "frames" || !frames.is_dir() {
             return Ok(());
         }
-        for entry in fs::read_dir(&frames)? {
-            let entry = entry?;
-            if is_picture_name(&entry.file_name().to_string_lossy()) {
-                fs::remove_file(entry.path())?;
-            }
-        }
+        remove_pictures(&frames)?;
         // May fail if other files are in it.
         let _ = fs::remove_dir(&frames);
         Ok(())
@@ -325,6 +314,17 @@ fn jpeg(frame: &Picture) -> Result<Vec<u8>> {
 
 fn picture_name(number: usize) -> String {
     format!("{number:06}.png")
+}
+
+/// Removes the numbered pictures of a folder; other files stay.
+fn remove_pictures(folder: &Path) -> io::Result<()> {
+    for entry in fs::read_dir(folder)? {
+        let entry = entry?;
+        if is_picture_name(&entry.file_name().to_string_lossy()) {
+            fs::remove_file(entry.path())?;
+        }
+    }
+    Ok(())
 }
 
 fn is_picture_name(name: &str) -> bool {

@@ -4,8 +4,7 @@
 use super::output::{Encoded, UndistortedOutput};
 use super::{OutputFormat, UndistortArguments};
 use crate::commands::simulate::y4m;
-use crate::{files, interrupt};
-use indicatif::{ProgressBar, ProgressStyle};
+use crate::{console, files, interrupt};
 use odograph::correction::ImageCorrection;
 use odograph::error::{Error, Result};
 use odograph::image::{GrayImage, RgbImage};
@@ -34,7 +33,8 @@ pub fn correct(
 ) -> Result<CorrectionSummary> {
     let available = || thread::available_parallelism().map_or(1, usize::from);
     let threads = arguments.threads.map_or_else(available, usize::from);
-    let bar = progress(source.info().frame_count, arguments.quiet);
+    let templates = ["{bar:40} {pos}/{len} frames, {eta} left", "{pos} frames"];
+    let bar = console::progress_as(templates, source.info().frame_count, arguments.quiet);
     let (format, mut frames, mut before_after) = (arguments.format, 0, None);
     let failure = thread::scope(|scope| -> Result<Option<Error>> {
         let (decoded_in, decoded_out) = mpsc::sync_channel::<(u64, Frame)>(threads);
@@ -151,18 +151,4 @@ fn side_by_side(left: &RgbImage, right: &RgbImage) -> RgbImage {
         both[left.len()..].copy_from_slice(right);
     }
     both
-}
-
-/// A bar where the number of frames is known, a count where not; nothing where standard error is no
-/// terminal.
-fn progress(frames: Option<u64>, quiet: bool) -> ProgressBar {
-    if quiet {
-        return ProgressBar::hidden();
-    }
-    let bar = frames.map_or_else(ProgressBar::new_spinner, ProgressBar::new);
-    let template = if frames.is_some() { "{bar:40} {pos}/{len} frames, {eta} left" } else { "{pos} frames" };
-    if let Ok(style) = ProgressStyle::with_template(template) {
-        bar.set_style(style);
-    }
-    bar
 }

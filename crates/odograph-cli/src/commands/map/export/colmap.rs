@@ -5,6 +5,7 @@
 //! see the same point if their features have the same position on the ground and similar
 //! descriptors.
 
+use crate::commands::map::root;
 use crate::{files, interrupt};
 use odograph::camera::Camera;
 use odograph::error::{Error, Result};
@@ -132,14 +133,14 @@ fn tracks(map: &GroundMap, features: &mut [Vec<KeyframeFeature>]) -> Vec<Vec<(us
         let (Some(&one), Some(&other)) = (place.get(&edge.from), place.get(&edge.to)) else { continue };
         let farthest_m = FARTHEST_PX * map.keyframes[one].pose.height_m / map.camera.focal_px().0;
         for (a, b) in alike(&features[one], &features[other], farthest_m) {
-            let (a, b) = (led(&mut leader, starts[one] + a), led(&mut leader, starts[other] + b));
+            let (a, b) = (root(&mut leader, starts[one] + a), root(&mut leader, starts[other] + b));
             leader[a.max(b)] = a.min(b);
         }
     }
     let mut points: BTreeMap<usize, Vec<(usize, usize)>> = BTreeMap::new();
     for (keyframe, start) in starts.iter().enumerate() {
         for feature in 0..features[keyframe].len() {
-            points.entry(led(&mut leader, start + feature)).or_default().push((keyframe, feature));
+            points.entry(root(&mut leader, start + feature)).or_default().push((keyframe, feature));
         }
     }
     let tracks: Vec<_> = points.into_values().collect();
@@ -149,14 +150,6 @@ fn tracks(map: &GroundMap, features: &mut [Vec<KeyframeFeature>]) -> Vec<Vec<(us
         }
     }
     tracks
-}
-
-fn led(leader: &mut [usize], mut of: usize) -> usize {
-    while leader[of] != of {
-        leader[of] = leader[leader[of]];
-        of = leader[of];
-    }
-    of
 }
 
 /// The pairs of features that are each other's best match, near enough and alike enough.
