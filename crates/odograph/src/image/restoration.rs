@@ -4,7 +4,7 @@
 use super::GrayImage;
 use super::impulse_noise::{has_impulse_noise, remove_impulse_noise};
 use super::interlacing::{Interlacing, even_field};
-use super::row_noise::{RowNoise, remove_row_noise};
+use super::row_noise::{COLUMNS_REACH, ROWS_REACH, RowNoise, remove_row_noise};
 
 /// What is wrong with the images of a recording.
 #[derive(Debug, Clone, Copy, Default, PartialEq, Eq)]
@@ -53,11 +53,11 @@ impl Restoration {
             remove_impulse_noise(&mut image);
         }
         if found.row_noise {
-            remove_row_noise(&mut image);
+            remove_row_noise(&mut image, ROWS_REACH);
         }
         if found.column_noise {
             image.transpose_into(transposed);
-            remove_row_noise(transposed);
+            remove_row_noise(transposed, COLUMNS_REACH);
             transposed.transpose_into(&mut image);
         }
         found.interlaced = self.interlacing.look(&image);

@@ -23,9 +23,12 @@ const LEAST_RATIO: f64 = 4.0;
 /// scene are smooth.
 const INDEPENDENT: f64 = -0.25;
 
-/// Rows on both sides with which a row is compared. What is wider drops out of the tracks, which
-/// have gain and offset.
-const REACH: usize = 8;
+/// Rows on both sides with which a row is compared: what is left is noise averaged over them. It
+/// drops out of the tracks, which have gain and offset, the wider it is. Row noise differs from
+/// image to image, and its rest averages out; that of columns stays in the image while the ground
+/// moves, and holds the tracks back.
+pub const ROWS_REACH: usize = 8;
+pub const COLUMNS_REACH: usize = 32;
 
 /// Looks for row noise.
 #[derive(Debug, Clone, Default)]
@@ -87,21 +90,21 @@ fn correlation(differences: &[f64], limit: f64) -> f64 {
     if squares > 0.0 { common / squares } else { 0.0 }
 }
 
-/// Subtracts from each row the median of its difference from the mean of the rows about it.
-pub fn remove_row_noise(image: &mut GrayImage) {
+/// Subtracts from each row the median of its difference from the mean of the rows within `reach`.
+pub fn remove_row_noise(image: &mut GrayImage, reach: usize) {
     let (width, height) = (image.width(), image.height());
     let mut sums = vec![0u32; width];
     let add = |sums: &mut [u32], row: &[u8]| sums.iter_mut().zip(row).for_each(|(s, &v)| *s += u32::from(v));
-    (0..height.min(REACH)).for_each(|y| add(&mut sums, image.row(y)));
+    (0..height.min(reach)).for_each(|y| add(&mut sums, image.row(y)));
     let offsets: Vec<i32> = (0..height)
         .map(|y| {
-            if y + REACH < height {
-                add(&mut sums, image.row(y + REACH));
+            if y + reach < height {
+                add(&mut sums, image.row(y + reach));
             }
-            if y > REACH {
-                sums.iter_mut().zip(image.row(y - REACH - 1)).for_each(|(s, &v)| *s -= u32::from(v));
+            if y > reach {
+                sums.iter_mut().zip(image.row(y - reach - 1)).for_each(|(s, &v)| *s -= u32::from(v));
             }
-            let count = ((y + REACH + 1).min(height) - y.saturating_sub(REACH)) as i32;
+            let count = ((y + reach + 1).min(height) - y.saturating_sub(reach)) as i32;
             median_difference(image.row(y), &sums, count)
         })
         .collect();
@@ -156,7 +159,7 @@ mod tests {
             (squares.sum::<f64>() / (80.0 * 320.0)).sqrt()
         };
         let before = off(&noisy);
-        remove_row_noise(&mut noisy);
+        remove_row_noise(&mut noisy, ROWS_REACH);
         // What is left is the mean of 17 rows, a quarter, and the noise of both images.
         assert!(off(&noisy) < 0.4 * before, "{before} {}", off(&noisy));
     }
@@ -188,7 +191,7 @@ mod tests {
         for (width, height) in [(0, 0), (1, 1), (3, 2), (9, 40)] {
             let mut image = GrayImage::new(width, height);
             RowNoise::default().is_in(&image);
-            remove_row_noise(&mut image);
+            remove_row_noise(&mut image, ROWS_REACH);
             assert_eq!((image.width(), image.height()), (width, height));
         }
     }
