@@ -23,10 +23,9 @@ const LEAST_RATIO: f64 = 4.0;
 /// scene are smooth.
 const INDEPENDENT: f64 = -0.25;
 
-/// Rows on both sides with which a row is compared: what is left is noise averaged over them. It
-/// drops out of the tracks, which have gain and offset, the wider it is. Row noise differs from
-/// image to image, and its rest averages out; that of columns stays in the image while the ground
-/// moves, and holds the tracks back.
+/// Rows on both sides with which a row is compared. The noise averaged over them is left; the wider
+/// it is, the better the gain and offset of a track absorb it. What is left of row noise differs
+/// from image to image. That of columns is static and biases the tracks, hence more columns.
 pub const ROWS_REACH: usize = 8;
 pub const COLUMNS_REACH: usize = 32;
 

@@ -12,7 +12,8 @@ pub struct LastPose {
     pub covariance: Matrix6<f64>,
     /// Change per second of x, y and heading.
     pub rates: [f64; 3],
-    /// Mean rates of all six numbers since the measured pose before; `None` where there is none.
+    /// Mean rates of all six numbers since the measured pose before, or, if that was a relocation,
+    /// until then; `None` where there is none.
     pub pose_rates: Option<PoseRates>,
     /// Change per second of the rates.
     accelerations: [f64; 3],
@@ -80,7 +81,7 @@ impl LastPose {
         let off_by = std::array::from_fn(|model| {
             let off_by = seen_apart(&self.predicted(time_s, MODELS[model]), &pose);
             match self.off_by[model] {
-                // How far the camera was taken elsewhere says nothing of how it moves.
+                // The distance of a relocation is no error of the motion model.
                 before if jumps => before,
                 // After `still` the rates are a guess, and a step later the accelerations.
                 before if before.is_finite() => off_by.max(REMEMBERED * before),
