@@ -12,6 +12,7 @@ use odograph::odometry::{Odometry, OdometryConfig};
 use odograph::self_calibration::{MultiPassCalibration, PassEnd};
 use odograph::slam::{Mapper, map_frames};
 use odograph::trajectory::FrameEstimate;
+use std::sync::Arc;
 
 /// Result of tracking a clip.
 #[derive(Debug, Default)]
@@ -55,6 +56,9 @@ fn pass(
     }
     if calibration.uneven_ground {
         odometry = odometry.with_uneven_ground();
+    }
+    if let Some(motion) = &calibration.motion {
+        odometry = odometry.with_motion(Arc::clone(motion));
     }
     let mut mapper = (follow == Follow::Mapped).then(|| {
         odometry.record_keyframes();

@@ -33,6 +33,7 @@ pub fn assume(plan: &mut RunPlan, calibration: &MultiPassCalibration) {
     plan.rig = calibration.rig;
     plan.correction = calibration.correction.clone();
     plan.uneven_ground = calibration.uneven_ground;
+    plan.motion.clone_from(&calibration.motion);
 }
 
 /// A continued map keeps what a run adds, so the beginning of the recording is examined before the

@@ -8,12 +8,14 @@ use odograph::error::{Error, Result};
 use odograph::fixed_pattern::NonuniformityCorrection;
 use odograph::formats::rig_file;
 use odograph::loop_closure::LoopClosureConfig;
+use odograph::motion::MeasuredMotion;
 use odograph::odometry::{Odometry, OdometryConfig};
 use odograph::pose_frame::{BaseLink, PoseFrame};
 use odograph_map::MapFile;
 use odograph_video::{Source, SourceOptions};
 use serde::{Deserialize, Serialize};
 use std::path::{Path, PathBuf};
+use std::sync::Arc;
 
 /// Source, camera and all parameters of a run.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
@@ -48,6 +50,9 @@ pub struct RunPlan {
     /// Whether the ground is taken to be uneven from the first frame on.
     #[serde(skip)]
     pub uneven_ground: bool,
+    /// The motion within the images, where an earlier pass over the same frames has measured it.
+    #[serde(skip)]
+    pub motion: Option<Arc<MeasuredMotion>>,
     #[serde(default, skip_serializing_if = "SensorFiles::is_empty")]
     /// The other sensors.
     pub sensors: SensorFiles,
@@ -209,6 +214,9 @@ impl RunPlan {
         }
         if self.uneven_ground {
             odometry = odometry.with_uneven_ground();
+        }
+        if let Some(motion) = &self.motion {
+            odometry = odometry.with_motion(Arc::clone(motion));
         }
         match &self.mask {
             Some(path) => odometry.with_mask(&mask::read(path)?).map_err(|error| error.at(path.display())),

@@ -63,6 +63,7 @@ impl RunBuilder {
             antenna: self.antenna()?,
             correction: None,
             uneven_ground: false,
+            motion: None,
             mask: self.mask.clone(),
             markers: self.markers.clone(),
             sensors: self.sensors.clone(),

@@ -219,6 +219,7 @@ fn track(
 fn why_again(camera: &MultiPassCalibration) -> String {
     match camera.tried_readout_s() {
         Some(readout_s) => format!("trying a readout time of {:.1} ms", 1e3 * readout_s),
+        None if camera.motion.is_some() => "again, with the motion within the images as measured".to_owned(),
         None => "again, with the camera as found".to_owned(),
     }
 }

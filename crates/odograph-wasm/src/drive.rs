@@ -17,6 +17,7 @@ use odograph_core::trajectory::{FrameSummary, distance_m};
 use odograph_core::{Camera, FrameEstimate, Odometry, OdometryConfig};
 use serde::Serialize;
 use std::collections::BTreeMap;
+use std::sync::Arc;
 
 /// One recording, tracked as `odograph run` tracks it, in memory alone.
 #[derive(Debug)]
@@ -246,6 +247,9 @@ impl Pass {
         }
         if calibration.uneven_ground {
             odometry = odometry.with_uneven_ground();
+        }
+        if let Some(motion) = &calibration.motion {
+            odometry = odometry.with_motion(Arc::clone(motion));
         }
         odometry.record_keyframes();
         // The images of keyframes are as a global shutter would have taken them.

@@ -88,6 +88,7 @@ pub mod slam;
 pub mod mosaic;
 pub mod drawing;
 pub mod mounting;
+pub mod continuous_time;
 pub mod self_calibration;
 pub mod evaluation;
 pub mod formats;

@@ -5,11 +5,14 @@
 //! A live camera cannot be tracked again; [`crate::mounting::OnlineCalibration`] is for it.
 
 use crate::camera::{Camera, Rig};
+use crate::continuous_time::{MotionMeasurement, MotionWithinImages, UNKNOWN_READOUT_S};
 use crate::error::Result;
 use crate::fixed_pattern::NonuniformityCorrection;
+use crate::motion::{MeasuredMotion, Readout};
 use crate::mounting::{CalibrationMonitor, CalibrationUpdate, ReadoutProfile, ReadoutTrial, UnknownReadout};
 use crate::odometry::Odometry;
 use crate::trajectory::FrameEstimate;
+use std::sync::Arc;
 
 /// How a camera differs from what a pass assumed.
 #[derive(Debug)]
@@ -18,6 +21,8 @@ pub enum CameraDifference {
     Calibration(Box<CalibrationUpdate>),
     /// It adds a fixed pattern to its images.
     FixedPattern(NonuniformityCorrection),
+    /// Its motion within the images, which the pass had to predict, is measured.
+    Motion(MotionWithinImages),
     /// Its readout time is unknown and matters: several are to be tried.
     UnknownReadout(ReadoutProfile),
     /// A readout time was tried; the result.
@@ -45,6 +50,8 @@ pub struct MultiPassCalibration {
     /// Whether the pass takes the ground to be uneven from its first frame on, as an earlier one
     /// has found it: readout times are compared under one model.
     pub uneven_ground: bool,
+    /// The motion within the images of a rolling shutter, once a pass has measured it.
+    pub motion: Option<Arc<MeasuredMotion>>,
     /// Whether another mount, lens or readout time ends a pass.
     pub calibrates: bool,
     /// Whether a fixed pattern that is not corrected yet ends a pass.
@@ -67,6 +74,7 @@ impl MultiPassCalibration {
             rig,
             correction: None,
             uneven_ground: false,
+            motion: None,
             calibrates: false,
             corrects_pattern: false,
             lens_is_known: false,
@@ -105,6 +113,9 @@ impl MultiPassCalibration {
             pattern: self.corrects_pattern && self.correction.is_none(),
             readout: (!is_profiled).then(UnknownReadout::default),
             trial: None,
+            motion: (self.calibrates && self.motion.is_none())
+                .then(|| MotionMeasurement::new(&self.camera, self.readout_deviation_s()))
+                .flatten(),
         }
     }
 
@@ -125,6 +136,12 @@ impl MultiPassCalibration {
                 self.assume(*found);
             }
             CameraDifference::FixedPattern(pattern) => self.correction = Some(pattern),
+            CameraDifference::Motion(MotionWithinImages { motion, readout }) => {
+                self.motion = Some(Arc::new(motion));
+                if let Some(Readout { mean_s, variance_s2 }) = readout {
+                    self.set_readout(mean_s, variance_s2.sqrt());
+                }
+            }
             CameraDifference::UnknownReadout(profile) => self.try_next(profile),
             CameraDifference::TriedReadout(trial) => {
                 if let Some(mut profile) = self.profile.take() {
@@ -143,15 +160,26 @@ impl MultiPassCalibration {
             Some(readout_s) => (readout_s, profile.unknown_s()),
             None => profile.measured(),
         };
-        // From here on it is taken for given: pairs of views would not measure it better.
+        self.set_readout(readout_s, deviation_s);
+        self.is_profiled = next_s.is_none();
+        self.uneven_ground = next_s.is_some();
+        self.profile = next_s.map(|_| profile);
+    }
+
+    /// Standard deviation of the readout time before the tracks of a whole pass, seconds.
+    fn readout_deviation_s(&self) -> f64 {
+        let given = &self.given.0;
+        given.readout_s().map_or(UNKNOWN_READOUT_S, |_| given.readout_deviation_s())
+    }
+
+    /// From here on this readout time is taken for given: pairs of views would not measure it
+    /// better.
+    fn set_readout(&mut self, readout_s: f64, deviation_s: f64) {
         let camera = self.given.0.clone();
         if let Ok(camera) = camera.with_readout_s(Some(readout_s)) {
             self.given.0 = camera.with_readout_deviation_s(deviation_s);
         }
         self.assume(CalibrationUpdate { readout: None, ..self.found.clone().unwrap_or_default() });
-        self.is_profiled = next_s.is_none();
-        self.uneven_ground = next_s.is_some();
-        self.profile = next_s.map(|_| profile);
     }
 
     fn assume(&mut self, found: CalibrationUpdate) {
@@ -168,6 +196,7 @@ pub struct CameraMonitor {
     pattern: bool,
     readout: Option<UnknownReadout>,
     trial: Option<ReadoutTrial>,
+    motion: Option<MotionMeasurement>,
 }
 
 impl CameraMonitor {
@@ -180,6 +209,7 @@ impl CameraMonitor {
         if let Some(trial) = &mut self.trial {
             return trial.watch(frame, odometry).then(|| CameraDifference::TriedReadout(trial.clone()));
         }
+        self.motion.iter_mut().for_each(|motion| motion.watch(frame, odometry));
         let found = self.calibration.as_mut().and_then(|monitor| monitor.watch(frame, odometry));
         let unknown = self.readout.as_mut().and_then(|readout| readout.watch(frame, odometry));
         let found = found.map(|found| CameraDifference::Calibration(Box::new(found)));
@@ -194,7 +224,10 @@ impl CameraMonitor {
         let found = self.calibration.as_ref().and_then(CalibrationMonitor::at_end);
         let unknown = self.readout.as_ref().and_then(UnknownReadout::at_end);
         let found = found.map(|found| CameraDifference::Calibration(Box::new(found)));
-        found.or(unknown.map(CameraDifference::UnknownReadout))
+        found.or(unknown.map(CameraDifference::UnknownReadout)).or_else(|| {
+            let motion = self.motion.clone().and_then(MotionMeasurement::finish);
+            motion.map(CameraDifference::Motion)
+        })
     }
 
     /// Number of pairs of views that the estimate of mount and lens has so far.

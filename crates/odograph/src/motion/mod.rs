@@ -24,6 +24,7 @@ mod residual;
 mod rig_evidence;
 mod rig_prior;
 mod rolling_shutter;
+mod measured_motion;
 mod correlated_noise;
 
 pub use coarse::{CoarseOptions, CoarseRegistration, GroundView, Hypothesis};
@@ -33,8 +34,10 @@ pub use global_image::global_image;
 pub use ground_patch::{GroundFromRay, GroundPatch, PatchWarp, ViewingPose};
 pub use ground_shape::{GroundShape, ShapeEstimate, UNKNOWN_SLOPE};
 pub use mean::mean_displacement;
+pub use measured_motion::{ImageMotion, MeasuredMotion};
 pub use random::Random;
 pub use residual::Axes;
+pub(crate) use residual::{ground_by_pose, residual};
 pub use rig_prior::{RigPrior, RigPriorEstimator};
 pub use rolling_shutter::{ExpectedRates, PoseRates, Readout, RollingShutter, ShutterEstimate, ShutterPrior};
 

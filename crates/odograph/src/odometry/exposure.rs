@@ -10,7 +10,7 @@ use super::keyframe::Keyframe;
 use super::shutter::ShutterState;
 use crate::camera::Camera;
 use crate::geometry::GroundPose;
-use crate::motion::{MotionEstimate, PoseRates, RollingShutter, UNKNOWN_SLOPE};
+use crate::motion::{ImageMotion, MotionEstimate, PoseRates, RollingShutter, UNKNOWN_SLOPE};
 
 /// Rates within the first keyframe may be anything up to this: parts of the height, and radians,
 /// per second.
@@ -26,10 +26,17 @@ const STEP_NOISE: f64 = 0.02;
 const NEGLIGIBLE_PX: f64 = 0.003;
 
 impl Odometry {
-    /// The first keyframe of all: nothing is known of its rates.
-    pub(super) fn expose_first(&self, keyframe: &mut Keyframe) {
+    /// The first keyframe of all: nothing is known of its rates unless they were measured.
+    pub(super) fn expose_first(&self, keyframe: &mut Keyframe, time_s: f64) {
         let Some(state) = self.learned.shutter().filter(|state| !state.is_global()) else { return };
         keyframe.shutter.readout_s = state.readout().mean_s;
+        if let Some(motion) = self.motion.at(time_s) {
+            let ImageMotion { rates, accelerations, rate_variance, .. } = *motion;
+            keyframe.rate_variance = rate_variance;
+            keyframe.rates_on_slope = Some((rates, rate_variance));
+            keyframe.expose(&self.camera, RollingShutter { rates, accelerations, ..keyframe.shutter });
+            return;
+        }
         let (shift, turn) = ((FIRST_RATE * keyframe.pose.height_m).powi(2), FIRST_RATE * FIRST_RATE);
         keyframe.rate_variance = PoseRates::new(shift, shift, turn, 0.0, 0.0, 0.0);
     }
@@ -41,8 +48,12 @@ impl Odometry {
         next.shutter =
             RollingShutter { rates: seen.expected_rates, ..prior.shutter_at(&self.camera, &estimate.pose) };
         next.rate_variance = prior.expected.rate_variance;
+        if let Some(motion) = self.present_motion() {
+            next.rate_variance = motion.rate_variance;
+        }
         next.rates_on_slope = Some((next.shutter.rates, next.rate_variance));
-        let Some(keyframe) = self.keyframe.as_ref().filter(|_| self.rows_determine_rates(readout_s)) else {
+        let is_refined = self.present_motion().is_none() && self.rows_determine_rates(readout_s);
+        let Some(keyframe) = self.keyframe.as_ref().filter(|_| is_refined) else {
             return;
         };
         let relative_variance = prior.readout.variance_s2 / readout_s.powi(2);
@@ -68,14 +79,15 @@ impl Odometry {
         let are_of_plane = std::mem::take(&mut self.rates_are_of_plane);
         let (Some(seen), Some(prior)) = (&estimate.shutter, self.learned.frame_shutter) else { return };
         let readout_s = prior.readout.mean_s;
-        if self.keyframes == 1 {
+        if self.keyframes == 1 && self.motion.is_empty() {
             match self.frames - self.serves_since {
                 1 => self.expose_by_first_step(seen.expected_rates),
                 2 => self.expose_by_first_steps(),
                 _ => {}
             }
         }
-        if are_of_plane || !self.rows_determine_rates(readout_s) {
+        let is_measured = self.present_motion().is_some();
+        if are_of_plane || is_measured || !self.rows_determine_rates(readout_s) {
             return;
         }
         let relative_variance = prior.readout.variance_s2 / readout_s.powi(2);
@@ -100,6 +112,12 @@ impl Odometry {
         } else {
             keyframe.shutter.rates = rates;
         }
+    }
+
+    /// The motion within the last frame with a pose, if an earlier pass has measured it. It is not
+    /// refined: all frames of both sides have a part in it.
+    fn present_motion(&self) -> Option<&ImageMotion> {
+        self.motion.at(self.last.as_ref()?.time_s)
     }
 
     /// The first keyframe moved as the camera did until the first frame after it, give or take as

@@ -7,8 +7,8 @@ use super::shutter::{PoseChange, ShutterState};
 use crate::camera::Camera;
 use crate::geometry::GroundPose;
 use crate::motion::{
-    GroundShape, MotionEstimate, MotionModel, PoseRates, RigPrior, RigPriorEstimator, RollingShutter,
-    Roughness, ShutterPrior, Unevenness, ViewingPose,
+    GroundShape, ImageMotion, MotionEstimate, MotionModel, PoseRates, RigPrior, RigPriorEstimator,
+    RollingShutter, Roughness, ShutterPrior, Unevenness, ViewingPose,
 };
 use nalgebra::{Matrix2, Matrix6, Matrix6x2, Vector2};
 
@@ -107,10 +107,10 @@ impl Learned {
         self.shutter.as_ref()
     }
 
-    /// Predicts how the image at `time_s` is exposed.
-    pub fn predict_shutter(&mut self, last: Option<&LastPose>, time_s: f64) {
+    /// Predicts how the image at `time_s` is exposed; its motion may have been measured.
+    pub fn predict_shutter(&mut self, last: Option<&LastPose>, time_s: f64, measured: Option<&ImageMotion>) {
         let both = last.zip(self.shutter.as_ref());
-        self.frame_shutter = both.and_then(|(last, shutter)| shutter.prior(last, time_s));
+        self.frame_shutter = both.and_then(|(last, shutter)| shutter.prior(last, time_s, measured));
     }
 
     /// Learns the elevations of a keyframe's corners, and how rough the ground is, from a measured

@@ -46,7 +46,7 @@ impl Odometry {
                 let (frame, mask) = (self.frames, self.fixed.mask());
                 let mut candidate =
                     SegmentCandidate::new(pyramid, frame, last, mask, &self.camera, &self.config);
-                candidate.iter_mut().for_each(|candidate| self.expose_first(&mut candidate.keyframe));
+                candidate.iter_mut().for_each(|candidate| self.expose_first(&mut candidate.keyframe, time_s));
                 self.candidate = candidate;
             }
         }
@@ -86,7 +86,7 @@ impl Odometry {
     pub(super) fn confirm_candidate(&mut self, pyramid: &Pyramid, time_s: f64) -> Option<Measurement> {
         // How the frame is exposed is predicted by the frames that confirmed the candidate.
         let last = self.candidate.as_ref().map(|candidate| &candidate.last);
-        self.learned.predict_shutter(last, time_s);
+        self.learned.predict_shutter(last, time_s, self.motion.at(time_s));
         let mut random = Random::new(self.frames);
         let (camera, config, learned) = (&self.camera, &self.config, &self.learned);
         self.candidate.as_mut()?.confirm(pyramid, time_s, camera, config, learned, &mut random)

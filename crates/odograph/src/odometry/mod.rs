@@ -38,7 +38,7 @@ use crate::fixed_pattern::{FixedPattern, ImageMask, NonuniformityCorrection, Sin
 use crate::geometry::{GroundPoint, GroundPose, Pixel, propagated};
 use crate::image::{GrayImage, ImageDefects, Pyramid, Restoration};
 use crate::motion::dense::TileTrack;
-use crate::motion::{MotionEstimate, MotionModel, PoseRates, Readout};
+use crate::motion::{Elevation, MeasuredMotion, MotionEstimate, MotionModel, PoseRates, Readout};
 use crate::trajectory::{FrameEstimate, LossReason, PlaneMeasurement, PoseEstimate, TrackStatus};
 use candidate::SegmentCandidate;
 pub use config::{KeyframeConfig, OdometryConfig};
@@ -65,12 +65,20 @@ pub struct TrackView {
     pub inlier: bool,
     /// Covariance of `pixel` by the noise of the images, pixels².
     pub covariance_px2: Matrix2<f64>,
+    /// Elevation of the ground there.
+    pub elevation: Elevation,
 }
 
 impl TrackView {
     /// A corner at `pixel` whose position is exact.
     pub fn exact(pixel: Pixel) -> Self {
-        Self { pixel, corner: pixel, inlier: true, covariance_px2: Matrix2::zeros() }
+        Self {
+            pixel,
+            corner: pixel,
+            inlier: true,
+            covariance_px2: Matrix2::zeros(),
+            elevation: Elevation::FLAT,
+        }
     }
 }
 
@@ -93,6 +101,8 @@ pub struct Odometry {
     standing: Standing,
     pattern_noise: PatternNoise,
     restoration: Restoration,
+    /// The motion within the images, as far as an earlier pass has measured it.
+    motion: Arc<MeasuredMotion>,
     /// So many frames before this one were lost.
     lost_frames: usize,
     /// Whether the rates of the present frame were predicted by poses on a plane that the ground
@@ -155,6 +165,7 @@ impl Odometry {
             standing: Standing::default(),
             pattern_noise: PatternNoise::default(),
             restoration: Restoration::default(),
+            motion: Arc::default(),
             lost_frames: 0,
             repeated: 0,
             stale: None,
@@ -214,6 +225,11 @@ impl Odometry {
         self
     }
 
+    /// Takes the motion within the images as an earlier pass has measured it.
+    pub fn with_motion(self, motion: Arc<MeasuredMotion>) -> Self {
+        Self { motion, ..self }
+    }
+
     /// The pattern that the camera adds to its images, where it is stronger than the ground.
     pub fn correction(&self) -> Option<&NonuniformityCorrection> {
         self.pattern_noise.correction()
@@ -257,7 +273,7 @@ impl Odometry {
             }
             None => Pyramid::new(image, self.config.flow.levels),
         };
-        self.learned.predict_shutter(self.last.as_ref(), time_s);
+        self.learned.predict_shutter(self.last.as_ref(), time_s, self.motion.at(time_s));
         let measured = self.measure(&pyramid, time_s).and_then(|found| self.distrust(found, since_last));
         let frame = match measured.map(|found| self.with_elevations(&pyramid, time_s, found)) {
             Ok(measurement) => self.accept(pyramid, time_s, measurement),
@@ -438,20 +454,21 @@ impl Odometry {
     /// Keeps the tracks of a measured frame for [`Odometry::tracks`].
     fn show_tracks(&mut self, found: &[FoundCorner], tiles: &[TileTrack], estimate: &MotionEstimate) {
         let corners = self.keyframe.as_ref().map_or(&[][..], |keyframe| &keyframe.corners);
-        let view = |(found, &inlier): (&FoundCorner, &bool)| {
+        let view = |(index, (found, &inlier)): (usize, (&FoundCorner, &bool))| {
             let corner = corners.get(found.corner)?.template.centre();
             Some(TrackView {
                 pixel: found.warp.position,
                 corner,
                 inlier,
                 covariance_px2: found.covariance_px2,
+                elevation: estimate.elevations.get(index).map_or(Elevation::FLAT, |seen| seen.elevation),
             })
         };
         self.tracks.clear();
-        self.tracks.extend(found.iter().zip(&estimate.inliers).filter_map(view));
+        self.tracks.extend(found.iter().zip(&estimate.inliers).enumerate().filter_map(view));
         let tile = |(&tile, &inlier): (&TileTrack, &bool)| {
             let TileTrack { reference: corner, pixel, covariance_px2 } = tile;
-            TrackView { pixel, corner, inlier, covariance_px2 }
+            TrackView { pixel, corner, inlier, covariance_px2, elevation: Elevation::FLAT }
         };
         self.tracks.extend(tiles.iter().zip(&estimate.inliers).map(tile));
     }
@@ -499,7 +516,7 @@ impl Odometry {
         let (pose, covariance) = (self.first_pose, Matrix6::zeros());
         let (mask, detection) = (self.fixed.mask(), &self.config.detection);
         let mut keyframe = Keyframe::new(pyramid, pose, covariance, mask, &self.camera, detection);
-        self.expose_first(&mut keyframe);
+        self.expose_first(&mut keyframe, time_s);
         keyframe.by_mount_tilt.fixed_rows_mut::<2>(4).fill_with_identity();
         self.by_mount_tilt = keyframe.by_mount_tilt;
         self.number(&mut keyframe, (self.frames, time_s), None);

@@ -5,7 +5,7 @@ use super::last_pose::LastPose;
 use super::rate_filter::RateFilter;
 use crate::camera::Camera;
 use crate::geometry::pose_index::{X, Y};
-use crate::motion::{PoseRates, Readout, ShutterEstimate, ShutterPrior};
+use crate::motion::{ImageMotion, PoseRates, Readout, ShutterEstimate, ShutterPrior};
 use std::collections::VecDeque;
 
 /// What is known of the shutter so far.
@@ -173,8 +173,14 @@ impl ShutterState {
         self.phase == ShutterDecision::Settled && self.readout.mean_s == 0.0
     }
 
-    /// What is expected of the image at `time_s`; `None` where the shutter is global.
-    pub fn prior(&self, last: &LastPose, time_s: f64) -> Option<ShutterPrior> {
+    /// What is expected of the image at `time_s`, whose motion may have been measured by an earlier
+    /// pass; `None` where the shutter is global.
+    pub fn prior(
+        &self,
+        last: &LastPose,
+        time_s: f64,
+        measured: Option<&ImageMotion>,
+    ) -> Option<ShutterPrior> {
         let step_s = time_s - last.time_s;
         let applies = self.phase != ShutterDecision::TakenGlobal;
         let is_looked_at = applies || self.steps_seen.is_multiple_of(LOOKED_AT);
@@ -188,7 +194,10 @@ impl ShutterState {
             ShutterDecision::Settled => Readout { variance_s2: 0.0, ..self.readout },
             _ => self.readout,
         };
-        let expected = self.rates.expected(step_s, &last.pose.to_vector());
+        let expected = match measured {
+            Some(motion) => motion.expected(),
+            None => self.rates.expected(step_s, &last.pose.to_vector()),
+        };
         Some(ShutterPrior { readout, applies, expected })
     }
 
