@@ -150,7 +150,7 @@ const told = {
     $("progress").value = 0;
   },
   again({ found }) {
-    warn(`In this drive, ${found}. The video is tracked again with that.`);
+    warn(found ? `In this drive, ${found}. The video is tracked again with that.` : "The video is tracked again.");
     track = map.track = new Track();
     map.clear();
     lostFrames = 0; distances = { count: 0, sum: 0 }; last = -1;

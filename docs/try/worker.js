@@ -67,15 +67,15 @@ async function run({ module, file, settings, player }) {
   const source = player ? playerFrames(player) : await open(file);
   if (!source) return say("player"); // the page is asked to play it
   const odograph = new Odograph(await WebAssembly.instantiate(module, {}));
-  let found = "", finished = false;
+  let found = null, finished = false;
   while (!finished) {
     odograph.give(new TextEncoder().encode(JSON.stringify(settings)));
-    if (!found) {
+    if (found === null) {
       odograph.call("begin", source.width, source.height);
       say("begun", { setup: odograph.json(), width: source.width, height: source.height, count: source.count });
     } else say("again", { found });
     const outcome = await pass(odograph, source);
-    if (outcome.found) { found = outcome.found; continue; }
+    if (outcome.found !== undefined) { found = outcome.found; continue; }
     say("finishing");
     if (!outcome.frames) throw outcome.failure || new Error("There is no frame in this video.");
     if (odograph.call("finish", !stopped && !outcome.failure) === AGAIN) { found = odograph.text(); continue; }

@@ -144,8 +144,11 @@ impl Drive {
         if self.calibration.found().is_some_and(|found| found.lens.is_some()) {
             parts.push("the lens is another than the camera file says".to_owned());
         }
-        if let Some(readout) = self.calibration.found().and_then(|found| found.readout) {
-            parts.push(format!("the shutter takes {:.1} ms to read an image", 1e3 * readout.readout_s));
+        // The measured motion comes with the best readout time, in the camera.
+        let measured = self.calibration.motion.as_ref().and(self.calibration.camera.readout_s());
+        let found = self.calibration.found().and_then(|found| found.readout).map(|found| found.readout_s);
+        if let Some(readout_s) = measured.or(found) {
+            parts.push(format!("the shutter takes {:.1} ms to read an image", 1e3 * readout_s));
         }
         if self.calibration.correction.is_some() {
             parts.push("the camera adds a pattern to every image".to_owned());
