@@ -90,6 +90,10 @@ const LEAST_NOISE_PX: f64 = 0.005;
 /// A readout time that is known is not estimated: its standard deviation, seconds.
 const FIXED_S: f64 = 1e-9;
 
+/// Rates that are known worse than this, heights or radians per second, are predicted as without
+/// the adjustment. Not derived; chosen: prediction is off by some 0.1 where a camera is shaken.
+const KNOWN_HZ: f64 = 0.1;
+
 /// Fewer frames, and fewer tracks in all, do not determine a motion.
 const LEAST_FRAMES: usize = 4;
 const LEAST_TRACKS: usize = 100;
@@ -176,7 +180,7 @@ impl<'a> Window<'a> {
         self.normal.l_dirty()[(last, last)].powi(-2)
     }
 
-    /// The motion within a frame; `None` where it has no tracks.
+    /// The motion within a frame; `None` where it is hardly known.
     pub fn motion(&self, index: usize) -> Option<ImageMotion> {
         let frame = &self.frames[index];
         let basis = self.spline.basis(frame.time_s);
@@ -190,7 +194,8 @@ impl<'a> Window<'a> {
         let half = self.normal.l_dirty().solve_lower_triangular(&selected)?;
         let rate_variance =
             PoseRates::from_fn(|i, _| unit(i, self.height_m).powi(2) * half.column(i).norm_squared());
-        Some(ImageMotion { time_s: frame.time_s, rates, rate_variance, accelerations })
+        let is_known = (0..6).all(|i| rate_variance[i].sqrt() < KNOWN_HZ * unit(i, self.height_m));
+        is_known.then_some(ImageMotion { time_s: frame.time_s, rates, rate_variance, accelerations })
     }
 }
 
@@ -254,7 +259,7 @@ impl Adjusting<'_> {
             let log_determinant = 2.0 * factor.l_dirty().diagonal().map(f64::ln).sum();
             let numbers = 6 * (control.len() - THIRD_DIFFERENCE.len() + 1);
             let log_evidence = -0.5 * (cost + log_determinant) - numbers as f64 * jerk.ln();
-            Some((log_evidence, factor, control, change[change.len() - 1]))
+            log_evidence.is_finite().then(|| (log_evidence, factor, control, change[change.len() - 1]))
         };
         let best = jerks.iter().filter_map(solve).max_by(|a, b| a.0.total_cmp(&b.0));
         let (_, factor, control, readout_change_s) = best?;
