@@ -119,7 +119,7 @@ fn the_readout_time_follows_from_the_tracks() {
 }
 
 #[test]
-fn a_gap_ends_what_is_adjusted_together() {
+fn nothing_is_measured_without_frames_or_a_readout_time() {
     let mut measurement = MotionMeasurement::new(&camera(), 0.0).unwrap();
     measurement.end_window();
     assert!(measurement.finish().is_none());

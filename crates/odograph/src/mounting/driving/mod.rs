@@ -36,9 +36,9 @@ use crate::camera::{Camera, CameraUncertainty, Rig};
 use crate::error::{Error, Result};
 use crate::geometry::{GroundPose, Pixel};
 use crate::keyframe::KeyframeId;
-use crate::motion::{PoseRates, whitening};
-use crate::numerics::{Combined, combine, median};
-use crate::odometry::tracking::SHARED_PX2;
+use crate::motion::PoseRates;
+use crate::numerics::{Combined, combine};
+use crate::odometry::tracking::track_whitenings;
 use crate::odometry::{Odometry, TrackView};
 use crate::trajectory::FrameEstimate;
 use nalgebra::Matrix2;
@@ -114,16 +114,13 @@ struct PairedTrack {
 impl PairedTrack {
     /// Of tracks from a keyframe to one frame.
     fn of(tracks: &[&TrackView]) -> Vec<Self> {
-        let covariance = |track: &TrackView| track.covariance_px2 + SHARED_PX2 * Matrix2::identity();
-        let mut variances: Vec<f64> = tracks.iter().map(|track| 0.5 * covariance(track).trace()).collect();
-        let Some(median_px2) = median(&mut variances) else { return Vec::new() };
-        let paired = |track: &&TrackView| Self {
+        let paired = |(track, whitening): (&&TrackView, Matrix2<f64>)| Self {
             first: track.corner,
             second: track.pixel,
             agrees: track.inlier,
-            whitening: whitening(&covariance(track), median_px2),
+            whitening,
         };
-        tracks.iter().map(paired).collect()
+        tracks.iter().zip(track_whitenings(tracks)).map(paired).collect()
     }
 
     /// The number of coordinates that count: one on a straight edge, two at a corner.

@@ -2,6 +2,7 @@ use super::*;
 use crate::camera::Distortion;
 use crate::geometry::GroundPoint;
 use crate::motion::Random;
+use crate::motion::whitening;
 use crate::odometry::{Odometry, OdometryConfig};
 use crate::simulation::{
     Effects, Path as DrivenPath, PathKind, Simulation, SimulationConfig, SlowVariation, Texture, Vibration,

@@ -20,7 +20,7 @@ use crate::image::Pyramid;
 use crate::motion::dense::{self, DenseEstimate, DenseImage, TileTrack};
 use crate::motion::{MotionEstimate, MotionModel, Random};
 use crate::trajectory::LossReason;
-pub use observations::SHARED_PX2;
+pub use observations::track_whitenings;
 use pose_fit::fit_pose;
 use search::{FoundCorners, search, search_where_last_seen};
 pub use visibility::{reason_of_loss, still_seen};

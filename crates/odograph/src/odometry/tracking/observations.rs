@@ -1,11 +1,16 @@
 //! The corners found, as whitened observations of ground points.
 
+use super::super::TrackView;
 use super::super::found_corner::FoundCorner;
 use super::super::keyframe::Keyframe;
 use crate::buffer::Buffer;
 use crate::camera::Camera;
 use crate::geometry::GroundPose;
-use crate::motion::{Correspondence, Elevation, Observation, RollingShutter, ShutterPrior, whitened};
+use crate::motion::{
+    Correspondence, Elevation, Observation, RollingShutter, ShutterPrior, whitened, whitening,
+};
+use crate::numerics::median;
+use nalgebra::Matrix2;
 
 /// The corners found, each whitened by the covariance of its patch, and the standard deviation of
 /// the median one by the noise of the images, pixels. Pixels of a rolling shutter are
@@ -53,4 +58,12 @@ pub(super) fn observations(
 
 /// Lower bound of a track's variance, pixels²: 0.02 px of interpolation and warp error. Where all
 /// tracks are good, all have equal weight.
-pub const SHARED_PX2: f64 = 4e-4;
+const SHARED_PX2: f64 = 4e-4;
+
+/// The whitening matrix of each track, relative to their median variance; none of no tracks.
+pub fn track_whitenings(tracks: &[&TrackView]) -> Vec<Matrix2<f64>> {
+    let covariance = |track: &TrackView| track.covariance_px2 + SHARED_PX2 * Matrix2::identity();
+    let mut variances: Vec<f64> = tracks.iter().map(|track| 0.5 * covariance(track).trace()).collect();
+    let Some(median_px2) = median(&mut variances) else { return Vec::new() };
+    tracks.iter().map(|track| whitening(&covariance(track), median_px2)).collect()
+}
