@@ -8,11 +8,10 @@ use odograph::ground_map::MemoryImages;
 use odograph::loop_closure::LoopClosureConfig;
 use odograph::motion::MotionModel;
 use odograph::mounting::OnlineCalibration;
-use odograph::odometry::{Odometry, OdometryConfig};
+use odograph::odometry::OdometryConfig;
 use odograph::self_calibration::{MultiPassCalibration, PassEnd};
 use odograph::slam::{Mapper, map_frames};
 use odograph::trajectory::FrameEstimate;
-use std::sync::Arc;
 
 /// Result of tracking a clip.
 #[derive(Debug, Default)]
@@ -33,6 +32,8 @@ pub fn follow(clip: &Clip, follow: Follow, model: MotionModel) -> Result<Tracked
     config.motion.model = model;
     let mut calibration = MultiPassCalibration::new(clip.camera.clone(), clip.rig);
     calibration.calibrates = follow != Follow::Live && model == MotionModel::Auto;
+    calibration.measures_shutter =
+        follow != Follow::Live && matches!(model, MotionModel::Auto | MotionModel::Free);
     calibration.corrects_pattern = follow != Follow::Live;
     let mut passes = 0;
     let tracked = calibration.track(|camera| {
@@ -48,18 +49,9 @@ fn pass(
     config: &OdometryConfig,
     calibration: &MultiPassCalibration,
 ) -> Result<PassEnd<TrackedClip>> {
-    let MultiPassCalibration { camera, rig, correction, .. } = calibration;
+    let MultiPassCalibration { camera, rig, .. } = calibration;
     let mut monitor = calibration.monitor();
-    let mut odometry = Odometry::new(camera.clone(), *rig, *config)?;
-    if let Some(correction) = correction {
-        odometry = odometry.with_correction(correction.clone());
-    }
-    if calibration.uneven_ground {
-        odometry = odometry.with_uneven_ground();
-    }
-    if let Some(motion) = &calibration.motion {
-        odometry = odometry.with_motion(Arc::clone(motion));
-    }
+    let mut odometry = calibration.odometry(*config)?;
     let mut mapper = (follow == Follow::Mapped).then(|| {
         odometry.record_keyframes();
         (Mapper::new(camera, *rig, config, LoopClosureConfig::default()), MemoryImages::default())

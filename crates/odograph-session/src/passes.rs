@@ -21,8 +21,9 @@ pub fn calibration_of(plan: &RunPlan) -> MultiPassCalibration {
         std::fs::metadata(&plan.source.path).is_ok_and(|there| there.is_file() || there.is_dir());
     let mut calibration = MultiPassCalibration::new(plan.camera.clone(), plan.rig);
     calibration.correction = plan.correction.clone();
-    calibration.uneven_ground = plan.uneven_ground;
-    calibration.calibrates = readable_again && plan.odometry.motion.model == MotionModel::Auto;
+    let model = plan.odometry.motion.model;
+    calibration.calibrates = readable_again && model == MotionModel::Auto;
+    calibration.measures_shutter = readable_again && matches!(model, MotionModel::Auto | MotionModel::Free);
     calibration.corrects_pattern = readable_again;
     calibration
 }
@@ -32,7 +33,6 @@ pub fn assume(plan: &mut RunPlan, calibration: &MultiPassCalibration) {
     plan.camera = calibration.camera.clone();
     plan.rig = calibration.rig;
     plan.correction = calibration.correction.clone();
-    plan.uneven_ground = calibration.uneven_ground;
     plan.motion.clone_from(&calibration.motion);
 }
 
@@ -44,10 +44,10 @@ pub fn examine_beginning(
     observer: &dyn Observer,
 ) -> Result<()> {
     calibration.lens_is_known = true;
-    while calibration.calibrates {
+    while calibration.calibrates || calibration.measures_shutter {
         match difference_at_beginning(plan, calibration.monitor(), observer)? {
             Some(difference) => calibration.apply(difference),
-            None => calibration.calibrates = false,
+            None => (calibration.calibrates, calibration.measures_shutter) = (false, false),
         }
         assume(plan, calibration);
     }

@@ -47,9 +47,6 @@ pub struct RunPlan {
     /// Fixed-pattern noise of the camera, where an earlier pass over the same frames found some.
     #[serde(skip)]
     pub correction: Option<NonuniformityCorrection>,
-    /// Whether the ground is taken to be uneven from the first frame on.
-    #[serde(skip)]
-    pub uneven_ground: bool,
     /// The motion within the images, where an earlier pass over the same frames has measured it.
     #[serde(skip)]
     pub motion: Option<Arc<MeasuredMotion>>,
@@ -211,9 +208,6 @@ impl RunPlan {
         let mut odometry = Odometry::new(self.camera.clone(), self.rig, self.odometry)?;
         if let Some(correction) = &self.correction {
             odometry = odometry.with_correction(correction.clone());
-        }
-        if self.uneven_ground {
-            odometry = odometry.with_uneven_ground();
         }
         if let Some(motion) = &self.motion {
             odometry = odometry.with_motion(Arc::clone(motion));

@@ -62,7 +62,6 @@ impl RunBuilder {
             frame: self.frame.or(rig.lever_arm.map(|_| FrameChoice::BaseLink)),
             antenna: self.antenna()?,
             correction: None,
-            uneven_ground: false,
             motion: None,
             mask: self.mask.clone(),
             markers: self.markers.clone(),

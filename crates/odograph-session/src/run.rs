@@ -217,9 +217,9 @@ fn track(
 
 /// Why a recording is tracked again.
 fn why_again(camera: &MultiPassCalibration) -> String {
-    match camera.tried_readout_s() {
-        Some(readout_s) => format!("trying a readout time of {:.1} ms", 1e3 * readout_s),
-        None if camera.motion.is_some() => "again, with the motion within the images as measured".to_owned(),
-        None => "again, with the camera as found".to_owned(),
+    match camera.found_readout() {
+        _ if camera.motion.is_some() => "again, with the motion within the images as measured".to_owned(),
+        Some(readout) if readout.mean_s == 0.0 => "again, with a global shutter".to_owned(),
+        _ => "again, with the camera as found".to_owned(),
     }
 }

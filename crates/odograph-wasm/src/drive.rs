@@ -106,6 +106,7 @@ impl Drive {
         let setup = Setup::of(&camera, &rig);
         let mut calibration = MultiPassCalibration::new(camera, rig);
         calibration.calibrates = true;
+        calibration.measures_shutter = true;
         calibration.corrects_pattern = true;
         let pass = Pass::new(&calibration)?;
         Ok((Self { calibration, size, pass }, setup))
@@ -144,11 +145,8 @@ impl Drive {
         if self.calibration.found().is_some_and(|found| found.lens.is_some()) {
             parts.push("the lens is another than the camera file says".to_owned());
         }
-        // The measured motion comes with the best readout time, in the camera.
-        let measured = self.calibration.motion.as_ref().and(self.calibration.camera.readout_s());
-        let found = self.calibration.found().and_then(|found| found.readout).map(|found| found.readout_s);
-        if let Some(readout_s) = measured.or(found) {
-            parts.push(format!("the shutter takes {:.1} ms to read an image", 1e3 * readout_s));
+        if let Some(readout) = self.calibration.found_readout().filter(|found| found.mean_s != 0.0) {
+            parts.push(format!("the shutter takes {:.1} ms to read an image", 1e3 * readout.mean_s));
         }
         if self.calibration.correction.is_some() {
             parts.push("the camera adds a pattern to every image".to_owned());
@@ -242,18 +240,9 @@ impl Drive {
 
 impl Pass {
     fn new(calibration: &MultiPassCalibration) -> Result<Self> {
-        let MultiPassCalibration { camera, rig, correction, .. } = calibration;
+        let MultiPassCalibration { camera, rig, .. } = calibration;
         let config = OdometryConfig::default();
-        let mut odometry = Odometry::new(camera.clone(), *rig, config)?;
-        if let Some(correction) = correction {
-            odometry = odometry.with_correction(correction.clone());
-        }
-        if calibration.uneven_ground {
-            odometry = odometry.with_uneven_ground();
-        }
-        if let Some(motion) = &calibration.motion {
-            odometry = odometry.with_motion(Arc::clone(motion));
-        }
+        let mut odometry = calibration.odometry(config)?;
         odometry.record_keyframes();
         // The images of keyframes are as a global shutter would have taken them.
         let global = camera.clone().with_readout_s(None)?;

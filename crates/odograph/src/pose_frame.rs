@@ -312,6 +312,7 @@ mod tests {
         let rig = Rig { yaw_rad: 1.2, roll_rad: 0.03, pitch_rad: -0.05, lever_arm, ..Rig::level(0.75) };
         let base = BaseLink::of(&rig).unwrap();
         let camera = Camera::from_field_of_view((240, 180), (0.96, 0.72), rig.height_m).unwrap();
+        let camera = camera.with_readout_s(Some(0.0)).unwrap();
         let (mut camera_nees, mut robot_nees, seeds) = (0.0, 0.0, 12);
         for seed in 0..seeds {
             let config = SimulationConfig {

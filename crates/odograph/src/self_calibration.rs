@@ -1,32 +1,30 @@
-//! Multi-pass self-calibration of a recording: tracked again from its first frame whenever mount,
-//! lens or readout time prove to differ from what was assumed, or the camera proves to add a fixed
-//! pattern to its images.
+//! Multi-pass self-calibration of a recording: tracked again from its first frame whenever mount
+//! or lens prove to differ from what was assumed, the readout time becomes known, or the camera
+//! proves to add a fixed pattern to its images.
 //!
 //! A live camera cannot be tracked again; [`crate::mounting::OnlineCalibration`] is for it.
 
 use crate::camera::{Camera, Rig};
-use crate::continuous_time::{MotionMeasurement, MotionWithinImages, UNKNOWN_READOUT_S};
+use crate::continuous_time::{MotionMeasurement, MotionWithinImages, ReadoutEstimation};
 use crate::error::Result;
 use crate::fixed_pattern::NonuniformityCorrection;
 use crate::motion::{MeasuredMotion, Readout};
-use crate::mounting::{CalibrationMonitor, CalibrationUpdate, ReadoutProfile, ReadoutTrial, UnknownReadout};
-use crate::odometry::Odometry;
+use crate::mounting::{CalibrationMonitor, CalibrationUpdate};
+use crate::odometry::{Odometry, OdometryConfig};
 use crate::trajectory::FrameEstimate;
 use std::sync::Arc;
 
 /// How a camera differs from what a pass assumed.
 #[derive(Debug)]
 pub enum CameraDifference {
-    /// Another mount, lens or readout time.
+    /// Another mount or lens.
     Calibration(Box<CalibrationUpdate>),
+    /// Its readout time, which was unknown; none of a global shutter.
+    Readout(Readout),
     /// It adds a fixed pattern to its images.
     FixedPattern(NonuniformityCorrection),
     /// Its motion within the images, which the pass had to predict, is measured.
     Motion(MotionWithinImages),
-    /// Its readout time is unknown and matters: several are to be tried.
-    UnknownReadout(ReadoutProfile),
-    /// A readout time was tried; the result.
-    TriedReadout(ReadoutTrial),
 }
 
 /// How a pass over a recording ended.
@@ -47,22 +45,20 @@ pub struct MultiPassCalibration {
     pub rig: Rig,
     /// Correction of its fixed-pattern noise, if an earlier pass found some.
     pub correction: Option<NonuniformityCorrection>,
-    /// Whether the pass takes the ground to be uneven from its first frame on, as an earlier one
-    /// has found it: readout times are compared under one model.
-    pub uneven_ground: bool,
     /// The motion within the images of a rolling shutter, once a pass has measured it.
     pub motion: Option<Arc<MeasuredMotion>>,
-    /// Whether another mount, lens or readout time ends a pass.
+    /// Whether another mount or lens ends a pass.
     pub calibrates: bool,
+    /// Whether a readout time that becomes known, or the motion within the images, ends a pass.
+    pub measures_shutter: bool,
     /// Whether a fixed pattern that is not corrected yet ends a pass.
     pub corrects_pattern: bool,
     /// Whether the lens is known and not estimated.
     pub lens_is_known: bool,
     given: (Camera, Rig),
     found: Option<CalibrationUpdate>,
-    /// Readout times that are tried, and whether all have been.
-    profile: Option<ReadoutProfile>,
-    is_profiled: bool,
+    /// Whether the readout time was found on the way, and not given.
+    is_readout_found: bool,
 }
 
 impl MultiPassCalibration {
@@ -73,14 +69,13 @@ impl MultiPassCalibration {
             camera,
             rig,
             correction: None,
-            uneven_ground: false,
             motion: None,
             calibrates: false,
+            measures_shutter: false,
             corrects_pattern: false,
             lens_is_known: false,
             found: None,
-            profile: None,
-            is_profiled: false,
+            is_readout_found: false,
         }
     }
 
@@ -97,9 +92,6 @@ impl MultiPassCalibration {
 
     /// The monitor of the next pass.
     pub fn monitor(&self) -> CameraMonitor {
-        if let Some(profile) = &self.profile {
-            return CameraMonitor { trial: Some(ReadoutTrial::of(profile)), ..CameraMonitor::default() };
-        }
         let calibration = self.calibrates.then(|| {
             let monitor = match &self.found {
                 Some(found) => CalibrationMonitor::with_estimate(&self.given.0, &self.given.1, found),
@@ -107,24 +99,36 @@ impl MultiPassCalibration {
             };
             if self.lens_is_known { monitor.with_lens_known() } else { monitor }
         });
-        let is_profiled = !self.calibrates || self.is_profiled || self.given.0.readout_s().is_some();
         CameraMonitor {
             calibration,
             pattern: self.corrects_pattern && self.correction.is_none(),
-            readout: (!is_profiled).then(UnknownReadout::default),
-            trial: None,
-            motion: (self.calibrates && self.motion.is_none())
+            readout: self.measures_shutter.then(|| ReadoutEstimation::new(&self.camera)).flatten(),
+            motion: (self.measures_shutter && self.motion.is_none())
                 .then(|| MotionMeasurement::new(&self.camera, self.readout_deviation_s()))
                 .flatten(),
         }
     }
 
-    /// The readout time that the next pass tries on the beginning of the recording, seconds.
-    pub fn tried_readout_s(&self) -> Option<f64> {
-        self.profile.as_ref().and_then(ReadoutProfile::next_s)
+    /// The odometry of the next pass. Fails as [`Odometry::new`] does.
+    pub fn odometry(&self, config: OdometryConfig) -> Result<Odometry> {
+        let mut odometry = Odometry::new(self.camera.clone(), self.rig, config)?;
+        if let Some(correction) = &self.correction {
+            odometry = odometry.with_correction(correction.clone());
+        }
+        if let Some(motion) = &self.motion {
+            odometry = odometry.with_motion(Arc::clone(motion));
+        }
+        Ok(odometry)
     }
 
-    /// Mount, lens and readout time that the passes have found, if they differ from the given ones.
+    /// The readout time that the passes have found, if it was not given; zero is a global shutter.
+    pub fn found_readout(&self) -> Option<Readout> {
+        let variance_s2 = self.camera.readout_deviation_s().powi(2);
+        let found = self.camera.readout_s().filter(|_| self.is_readout_found);
+        found.map(|mean_s| Readout { mean_s, variance_s2 })
+    }
+
+    /// Mount and lens that the passes have found, if they differ from the given ones.
     pub fn found(&self) -> Option<&CalibrationUpdate> {
         self.found.as_ref().filter(|found| !found.is_nothing())
     }
@@ -142,44 +146,25 @@ impl MultiPassCalibration {
                     self.set_readout(mean_s, variance_s2.sqrt());
                 }
             }
-            CameraDifference::UnknownReadout(profile) => self.try_next(profile),
-            CameraDifference::TriedReadout(trial) => {
-                if let Some(mut profile) = self.profile.take() {
-                    profile.take(trial);
-                    self.try_next(profile);
-                }
+            CameraDifference::Readout(Readout { mean_s, variance_s2 }) => {
+                self.is_readout_found = true;
+                self.set_readout(mean_s, variance_s2.sqrt());
             }
         }
     }
 
-    /// The camera with the next readout time of a profile, or with that which it has found.
-    fn try_next(&mut self, profile: ReadoutProfile) {
-        let next_s = profile.next_s();
-        let (readout_s, deviation_s) = match next_s {
-            // An interrupted trial states that its readout time is a guess.
-            Some(readout_s) => (readout_s, profile.unknown_s()),
-            None => profile.measured(),
-        };
-        self.set_readout(readout_s, deviation_s);
-        self.is_profiled = next_s.is_none();
-        self.uneven_ground = next_s.is_some();
-        self.profile = next_s.map(|_| profile);
-    }
-
     /// Standard deviation of the readout time before the tracks of a whole pass, seconds.
     fn readout_deviation_s(&self) -> f64 {
-        let given = &self.given.0;
-        given.readout_s().map_or(UNKNOWN_READOUT_S, |_| given.readout_deviation_s())
+        if self.is_readout_found { FOUND_READOUT_S } else { self.given.0.readout_deviation_s() }
     }
 
-    /// From here on this readout time is taken for given: pairs of views would not measure it
-    /// better.
+    /// From here on this readout time is taken for given.
     fn set_readout(&mut self, readout_s: f64, deviation_s: f64) {
         let camera = self.given.0.clone();
         if let Ok(camera) = camera.with_readout_s(Some(readout_s)) {
             self.given.0 = camera.with_readout_deviation_s(deviation_s);
         }
-        self.assume(CalibrationUpdate { readout: None, ..self.found.clone().unwrap_or_default() });
+        self.assume(self.found.clone().unwrap_or_default());
     }
 
     fn assume(&mut self, found: CalibrationUpdate) {
@@ -189,13 +174,16 @@ impl MultiPassCalibration {
     }
 }
 
+/// Standard deviation of a readout time that was found on the way, seconds: whatever a part of the
+/// recording has shown, the tracks of the whole decide.
+const FOUND_READOUT_S: f64 = 5e-3;
+
 /// Compares the camera of one pass with what the pass assumes.
 #[derive(Debug, Default)]
 pub struct CameraMonitor {
     calibration: Option<CalibrationMonitor>,
     pattern: bool,
-    readout: Option<UnknownReadout>,
-    trial: Option<ReadoutTrial>,
+    readout: Option<ReadoutEstimation>,
     motion: Option<MotionMeasurement>,
 }
 
@@ -206,28 +194,23 @@ impl CameraMonitor {
         if let Some(pattern) = odometry.correction().filter(|_| self.pattern) {
             return Some(CameraDifference::FixedPattern(pattern.clone()));
         }
-        if let Some(trial) = &mut self.trial {
-            return trial.watch(frame, odometry).then(|| CameraDifference::TriedReadout(trial.clone()));
-        }
         self.motion.iter_mut().for_each(|motion| motion.watch(frame, odometry));
-        let found = self.calibration.as_mut().and_then(|monitor| monitor.watch(frame, odometry));
-        let unknown = self.readout.as_mut().and_then(|readout| readout.watch(frame, odometry));
-        let found = found.map(|found| CameraDifference::Calibration(Box::new(found)));
-        found.or(unknown.map(CameraDifference::UnknownReadout))
+        if let Some(found) = self.readout.as_mut().and_then(|readout| readout.watch(frame, odometry)) {
+            return Some(CameraDifference::Readout(found));
+        }
+        let found = self.calibration.as_mut()?.watch(frame, odometry)?;
+        Some(CameraDifference::Calibration(Box::new(found)))
     }
 
     /// The check at the end of the recording ([`CalibrationMonitor::at_end`]).
     pub fn at_end(&self) -> Option<CameraDifference> {
-        if let Some(trial) = &self.trial {
-            return Some(CameraDifference::TriedReadout(trial.clone()));
-        }
-        let found = self.calibration.as_ref().and_then(CalibrationMonitor::at_end);
-        let unknown = self.readout.as_ref().and_then(UnknownReadout::at_end);
-        let found = found.map(|found| CameraDifference::Calibration(Box::new(found)));
-        found.or(unknown.map(CameraDifference::UnknownReadout)).or_else(|| {
-            let motion = self.motion.clone().and_then(MotionMeasurement::finish);
-            motion.map(CameraDifference::Motion)
-        })
+        let readout = || self.readout.as_ref()?.at_end().map(CameraDifference::Readout);
+        let calibration = || {
+            let found = self.calibration.as_ref()?.at_end()?;
+            Some(CameraDifference::Calibration(Box::new(found)))
+        };
+        let motion = || self.motion.clone()?.finish().map(CameraDifference::Motion);
+        readout().or_else(calibration).or_else(motion)
     }
 
     /// Number of pairs of views that the estimate of mount and lens has so far.

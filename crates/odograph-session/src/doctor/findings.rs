@@ -343,6 +343,10 @@ impl Seen<'_> {
         let px_s = along.iter().sum::<f64>() / along.len().max(1) as f64;
         let by = |readout_s: f64| 100.0 * px_s * readout_s / self.size.1 as f64;
         Some(match learned {
+            Some((0.0, _)) => {
+                let measured = "a global shutter, as estimated from the recording".to_owned();
+                found("shutter", (0.0, "ms"), Judgement::Good, measured, "")
+            }
             Some((readout_s, deviation_s)) => found(
                 "shutter",
                 (1e3 * readout_s, "ms"),

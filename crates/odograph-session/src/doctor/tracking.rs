@@ -3,10 +3,11 @@
 use super::appearance::Sharpness;
 use crate::plan::RunPlan;
 use odograph::camera::{Camera, PosedCamera, Rig};
+use odograph::continuous_time::ReadoutEstimation;
 use odograph::error::Result;
 use odograph::fixed_pattern::NonuniformityCorrection;
 use odograph::geometry::{GroundPose, Pixel, length};
-use odograph::motion::MotionModel;
+use odograph::motion::{MotionModel, Readout};
 use odograph::mounting::{CalibrationMonitor, CalibrationUpdate};
 use odograph::numerics::median;
 use odograph::odometry::Odometry;
@@ -117,6 +118,9 @@ pub struct Stretch {
     odometry: Odometry,
     monitor: Option<CalibrationMonitor>,
     found: Option<CalibrationUpdate>,
+    /// While the readout time is unknown.
+    shutter: Option<ReadoutEstimation>,
+    readout: Option<Readout>,
     last: Option<(GroundPose, f64)>,
 }
 
@@ -129,6 +133,8 @@ impl Stretch {
             odometry: plan.odometry()?,
             monitor: free.then(|| CalibrationMonitor::new(&plan.camera, rig)),
             found: None,
+            shutter: ReadoutEstimation::new(&plan.camera),
+            readout: None,
             last: None,
         })
     }
@@ -159,6 +165,11 @@ impl Stretch {
             into.steps.push(Step { middle_px, most_px, time_s: time_s - before_s, sharpness });
         }
         self.last = now.map(|pose| (pose, time_s));
+        if self.readout.is_none()
+            && let Some(shutter) = &mut self.shutter
+        {
+            self.readout = shutter.watch(&estimate, &self.odometry);
+        }
         if self.found.is_none()
             && let Some(monitor) = &mut self.monitor
         {
@@ -182,7 +193,9 @@ impl Stretch {
         }
         into.pattern_gray =
             self.odometry.correction().map(NonuniformityCorrection::rms_gray).or(into.pattern_gray);
-        if let Some(readout) = self.odometry.readout().filter(|_| self.odometry.readout_matters()) {
+        let estimated = self.readout.or_else(|| self.shutter.and_then(|shutter| shutter.at_end()));
+        let assumed = self.odometry.readout().filter(|_| self.odometry.readout_matters());
+        if let Some(readout) = estimated.or(assumed) {
             let deviation_s = readout.variance_s2.sqrt();
             if into.readout_s.is_none_or(|(_, known_s)| deviation_s < known_s) {
                 into.readout_s = Some((readout.mean_s, deviation_s));

@@ -122,7 +122,8 @@ fn changed<'a>(camera: &Camera, changes: impl IntoIterator<Item = (&'a str, f64)
             _ => coefficient(&mut distortion, name).into_iter().for_each(|value| *value += by),
         }
     }
-    Camera::new((camera.width(), camera.height()), (fx, fy), (cx, cy), distortion).ok()
+    let changed = Camera::new((camera.width(), camera.height()), (fx, fy), (cx, cy), distortion).ok()?;
+    changed.with_readout_s(camera.readout_s()).ok()
 }
 
 /// A parameter of a camera by its name.

@@ -14,6 +14,9 @@ pub struct Basis {
     pub weights: [[f64; SUPPORT]; 3],
 }
 
+/// The motion of a camera at some time: pose, rates and accelerations.
+pub type State = [PoseRates; 3];
+
 /// A pose as a function of time.
 #[derive(Debug, Clone)]
 pub struct Spline {
@@ -68,7 +71,7 @@ impl Spline {
     }
 
     /// Pose, rate and acceleration.
-    pub fn at(&self, basis: &Basis) -> [PoseRates; 3] {
+    pub fn at(&self, basis: &Basis) -> State {
         let near = &self.control[basis.first..basis.first + SUPPORT];
         basis.weights.map(|weights| near.iter().zip(weights).map(|(control, weight)| control * weight).sum())
     }

@@ -87,6 +87,12 @@ pub struct Readout {
     pub variance_s2: f64,
 }
 
+impl Readout {
+    /// Standard deviation of a readout time of which nothing is known, seconds: half of a frame at
+    /// 30 a second.
+    pub const UNKNOWN_S: f64 = 0.015;
+}
+
 /// What is expected of the rates and accelerations of an image: linear functions of its pose.
 #[derive(Debug, Clone, Copy, PartialEq, Default)]
 pub struct ExpectedRates {

@@ -10,7 +10,6 @@
 mod driving;
 
 pub use driving::{
-    CalibrationMonitor, CalibrationUpdate, DrivenTilt, DrivingConfig, KNOWN_READOUT_S, LensCoefficient,
-    LensMeasurement, Observability, OnlineCalibration, ReadoutMeasurement, ReadoutProfile, ReadoutTrial,
-    SelfCalibration, TiltMeasurement, UnknownReadout,
+    CalibrationMonitor, CalibrationUpdate, DrivenTilt, DrivingConfig, LensCoefficient, LensMeasurement,
+    Observability, OnlineCalibration, SelfCalibration, TiltMeasurement,
 };

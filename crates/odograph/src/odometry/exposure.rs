@@ -52,19 +52,15 @@ impl Odometry {
             next.rate_variance = motion.rate_variance;
         }
         next.rates_on_slope = Some((next.shutter.rates, next.rate_variance));
-        let is_refined = self.present_motion().is_none() && self.rows_determine_rates(readout_s);
+        let is_refined = self.present_motion().is_none() && readout_s != 0.0;
         let Some(keyframe) = self.keyframe.as_ref().filter(|_| is_refined) else {
             return;
         };
-        let relative_variance = prior.readout.variance_s2 / readout_s.powi(2);
         let (_, of_slope) = self.slope_variances(estimate, &keyframe.pose, readout_s);
         for i in 0..6 {
             // The rates by the rows have the error of the keyframe, too.
-            let of_readout = relative_variance * (seen.expected_rates[i] - keyframe.shutter.rates[i]).powi(2);
-            let by_rows = seen.evidence_variance[i] / readout_s.powi(2)
-                + keyframe.rate_variance[i]
-                + of_readout
-                + of_slope;
+            let by_rows =
+                seen.evidence_variance[i] / readout_s.powi(2) + keyframe.rate_variance[i] + of_slope;
             let predicted = prior.expected.rate_variance[i];
             if by_rows.is_finite() && by_rows + predicted > 0.0 {
                 let gain = predicted / (predicted + by_rows);
@@ -87,18 +83,15 @@ impl Odometry {
             }
         }
         let is_measured = self.present_motion().is_some();
-        if are_of_plane || is_measured || !self.rows_determine_rates(readout_s) {
+        if are_of_plane || is_measured || readout_s == 0.0 {
             return;
         }
-        let relative_variance = prior.readout.variance_s2 / readout_s.powi(2);
         let Some(keyframe) = &self.keyframe else { return };
         let (of_slope, unshaped) = self.slope_variances(estimate, &keyframe.pose, readout_s);
         let Some(keyframe) = &mut self.keyframe else { return };
         let mut rates = keyframe.shutter.rates;
         for i in 0..6 {
-            let of_readout = relative_variance * (seen.expected_rates[i] - rates[i]).powi(2);
-            let noise =
-                seen.evidence_variance[i] / readout_s.powi(2) + prior.expected.rate_variance[i] + of_readout;
+            let noise = seen.evidence_variance[i] / readout_s.powi(2) + prior.expected.rate_variance[i];
             let off = seen.expected_rates[i] - seen.evidence[i] / readout_s;
             if let Some((on_slope, variance)) = &mut keyframe.rates_on_slope {
                 let off = off + rates[i] - on_slope[i];
@@ -163,20 +156,6 @@ impl Odometry {
         let of_slope = (UNKNOWN_SLOPE * dx_m.hypot(dy_m) / readout_s).powi(2);
         let is_unshaped = self.learned.relief_m2() > 0.0 && estimate.shape.is_none();
         (of_slope, if is_unshaped { of_slope } else { 0.0 })
-    }
-
-    /// By how much the skew of the last frame differs from that of its keyframe if images are read
-    /// in this time, pixels.
-    pub(crate) fn skew_since_keyframe_px(&self, readout_s: f64) -> f64 {
-        let (Some(keyframe), Some(last)) = (&self.keyframe, &self.last) else { return 0.0 };
-        let Some(rates) = last.pose_rates.map(|rates| rates - keyframe.shutter.rates) else { return 0.0 };
-        let difference = RollingShutter { rates, readout_s, ..keyframe.shutter };
-        largest_shift_px(&self.camera, &last.pose, &difference)
-    }
-
-    /// Whether the readout time is known well enough for rows to determine rates.
-    fn rows_determine_rates(&self, readout_s: f64) -> bool {
-        readout_s != 0.0 && self.learned.shutter().is_some_and(|state| state.is_known())
     }
 }
 

@@ -81,7 +81,7 @@ impl Learned {
     /// The same with a shutter that may roll.
     pub fn with_rolling_shutter(first: &GroundPose, camera: &Camera, model: MotionModel) -> Self {
         let may_roll = model != MotionModel::Mean;
-        let shutter = may_roll.then(|| ShutterState::new(camera, first.height_m));
+        let shutter = may_roll.then(|| ShutterState::new(camera, first.height_m, model));
         Self { shutter, ..Self::new(first) }
     }
 
@@ -123,8 +123,7 @@ impl Learned {
         camera: &Camera,
     ) -> bool {
         let was_flat = self.relief_m2() == 0.0;
-        let sees_kerbs = self.shutter.as_ref().is_none_or(ShutterState::is_sure);
-        self.roughness.learn(&keyframe.learn_elevations(found, estimate, camera, sees_kerbs));
+        self.roughness.learn(&keyframe.learn_elevations(found, estimate, camera));
         match estimate.uneven {
             Some(Unevenness::Relief) => self.roughness.begin(),
             Some(Unevenness::NewGround) => keyframe.leave_plane(),
@@ -133,7 +132,7 @@ impl Learned {
         let becomes_rough = was_flat && self.relief_m2() > 0.0;
         if becomes_rough {
             // What was taken for a skew was the shape of the ground.
-            self.shutter.iter_mut().for_each(ShutterState::forget_evidence);
+            self.shutter.iter_mut().for_each(ShutterState::decide);
         }
         becomes_rough
     }
@@ -193,11 +192,6 @@ impl Learned {
         }
     }
 
-    /// Takes the ground to be rough from the first frame on.
-    pub fn expect_uneven_ground(&mut self) {
-        self.roughness.begin();
-    }
-
     /// The variance of the elevations of points of which nothing else is known, metres²: zero where
     /// the ground is flat.
     pub fn relief_m2(&self) -> f64 {
@@ -212,35 +206,24 @@ impl Learned {
         self.least_relief_m2
     }
 
-    /// Learns of the shutter from a measured frame.
-    pub fn saw_shutter(
-        &mut self,
-        estimate: &MotionEstimate,
-        last: Option<&LastPose>,
-        keyframe: Option<(&GroundPose, &RollingShutter)>,
-    ) {
+    /// Learns how the camera moves from a measured frame.
+    pub fn saw_step(&mut self, estimate: &MotionEstimate, last: Option<&LastPose>) {
         let Some(shutter) = &mut self.shutter else { return };
         let change = last.and_then(|last| {
             let variance = estimate.covariance.diagonal();
             Some(PoseChange { rates: last.pose_rates?, step_s: last.step_s, variance })
         });
         shutter.saw_step(change.as_ref(), estimate.pose.height_m);
-        if let (Some(seen), Some(prior), Some((pose, exposed))) =
-            (&estimate.shutter, &self.frame_shutter, keyframe)
-        {
-            let displacement = estimate.pose.to_vector() - pose.to_vector();
-            shutter.saw(seen, prior, &exposed.rates, displacement);
-        }
     }
 
     /// The readout time that images are taken to have, seconds.
     pub fn assumed_readout_s(&self) -> f64 {
-        self.shutter.as_ref().map_or(0.0, ShutterState::assumed_readout_s)
+        self.shutter.as_ref().map_or(0.0, |shutter| shutter.readout().mean_s)
     }
 
     /// The mean square of what that may be off by, seconds².
     pub fn readout_errors_s2(&self) -> f64 {
-        self.shutter.as_ref().map_or(0.0, ShutterState::readout_variance_s2)
+        self.shutter.as_ref().map_or(0.0, |shutter| shutter.readout().variance_s2)
     }
 
     /// What the uncertainty of the readout time adds to the covariance of a pose that changes with
@@ -255,13 +238,6 @@ impl Learned {
         by_mount_tilt * self.rig_prior.mount_tilt_errors() * by_mount_tilt.transpose()
     }
 
-    /// Another keyframe serves from here on.
-    pub fn end_shutter_keyframe(&mut self) {
-        if let Some(shutter) = &mut self.shutter {
-            shutter.end_keyframe();
-        }
-    }
-
     /// How the present frame is exposed where it was taken at `pose`; `None` for a global shutter.
     pub fn shutter_at(&self, camera: &Camera, pose: &GroundPose) -> Option<RollingShutter> {
         self.frame_shutter.as_ref().map(|prior| prior.shutter_at(camera, pose))
@@ -269,7 +245,7 @@ impl Learned {
 
     /// Whether a skew of the present frame would be seen, or there is none.
     pub fn may_see_skew(&self) -> bool {
-        self.frame_shutter.is_some() || self.shutter.as_ref().is_none_or(ShutterState::is_known)
+        self.frame_shutter.is_some() || self.shutter.as_ref().is_none_or(ShutterState::is_global)
     }
 
     /// Whether the pose of the present frame is fitted with a skew.
@@ -280,14 +256,12 @@ impl Learned {
     /// The shape of a keyframe's ground where it is to be estimated: beside a skew, for which an
     /// unknown slope would pass.
     pub fn shape(&self, keyframe: &Keyframe, prior: &RigPrior) -> Option<GroundShape> {
-        let is_beside_skew =
-            self.skew_is_fitted() && self.shutter.as_ref().is_some_and(ShutterState::is_known);
-        is_beside_skew.then(|| keyframe.shape(prior.holds_tilt())).flatten()
+        self.shutter_rolls().then(|| keyframe.shape(prior.holds_tilt())).flatten()
     }
 
     /// Whether the present frame is taken to be skewed by a rolling shutter.
     pub fn shutter_rolls(&self) -> bool {
-        self.frame_shutter.as_ref().is_some_and(|prior| prior.applies && prior.readout.mean_s != 0.0)
+        self.frame_shutter.as_ref().is_some_and(|prior| prior.readout.mean_s != 0.0)
     }
 
     /// The present frame's view from `pose`.

@@ -219,12 +219,6 @@ impl Odometry {
         self
     }
 
-    /// Takes the ground to be uneven from the first frame on, until it turns out to be flat.
-    pub fn with_uneven_ground(mut self) -> Self {
-        self.learned.expect_uneven_ground();
-        self
-    }
-
     /// Takes the motion within the images as an earlier pass has measured it.
     pub fn with_motion(self, motion: Arc<MeasuredMotion>) -> Self {
         Self { motion, ..self }
@@ -506,8 +500,7 @@ impl Odometry {
             Some(last) => last.moved(time_s, estimate.pose, covariance),
             None => LastPose::still(time_s, estimate.pose, covariance),
         });
-        let exposed = self.keyframe.as_ref().map(|keyframe| (&keyframe.pose, &keyframe.shutter));
-        self.learned.saw_shutter(estimate, self.last.as_ref(), exposed);
+        self.learned.saw_step(estimate, self.last.as_ref());
         self.refine_exposure(estimate);
     }
 

@@ -217,7 +217,6 @@ impl Odometry {
         self.serves_since = self.frames;
         self.keyframe_off = PoseRates::zeros();
         self.own_by_readout = PoseRates::zeros();
-        self.learned.end_shutter_keyframe();
         if let (Some(reference), Some(keyframe)) = (&mut self.reference, keyframe) {
             reference.next = Some((keyframe, pose));
         }

@@ -159,11 +159,7 @@ impl DrivenTilt {
         if let Some(found) = with_lens {
             return Ok(found);
         }
-        // Views that do not determine the lens may still determine the readout time.
-        let with_readout = bundle::solve::<LENS_START>(&self.camera, groups(), start)
-            .and_then(|solved| self.tilt_only(&solved));
-        let tilt = with_readout.map_or_else(|| self.solve(start, None), Ok)?;
-        Ok(SelfCalibration { tilt, lens: None })
+        Ok(SelfCalibration { tilt: self.solve(start, None)?, lens: None })
     }
 
     /// Reduces pairs solved for all unknowns to the tilt alone, and to the lens with as few
@@ -236,8 +232,8 @@ fn last_are_significant<const N: usize>(solved: &Solved<N>, first: usize) -> boo
 /// Largest number of pairs for the lens; of more, keyframes are left out evenly.
 const MAX_PAIRS: usize = 256;
 
-/// Number of common unknowns with the first radial parameter of the lens, after roll, pitch and
-/// readout time. The counts follow from the order of the parameters in [`LensUnknowns`]; whether a
+/// Number of common unknowns with the first radial parameter of the lens, after roll and pitch.
+/// The counts follow from the order of the parameters in [`LensUnknowns`]; whether a
 /// further group is freed is decided by its significance, [`PARAMETER_SIGMAS`].
 const WITH_FIRST_RADIAL: usize = LENS_START + 1;
 

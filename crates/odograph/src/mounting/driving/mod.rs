@@ -21,16 +21,12 @@ mod bundle;
 mod lens;
 mod online;
 mod rates;
-mod readout;
-mod readout_profile;
 mod monitor;
 
-use bundle::{READOUT, Solved, TILT};
+use bundle::{Solved, TILT};
 pub use lens::{LensCoefficient, LensMeasurement, SelfCalibration};
 pub use monitor::{CalibrationMonitor, CalibrationUpdate};
 pub use online::OnlineCalibration;
-pub use readout::ReadoutMeasurement;
-pub use readout_profile::{KNOWN_READOUT_S, ReadoutProfile, ReadoutTrial, UnknownReadout};
 
 use crate::camera::{Camera, CameraUncertainty, Rig};
 use crate::error::{Error, Result};
@@ -77,8 +73,6 @@ pub struct DrivenTilt {
     /// so.
     relief_seen: bool,
     relief: MeanSquare,
-    /// The readout time that the odometry assumes, seconds.
-    assumed_readout_s: f64,
     /// Pairs whose frames' rates are not known yet.
     pending: VecDeque<Pending>,
     path: DrivenPath,
@@ -187,8 +181,6 @@ pub struct TiltMeasurement {
     pub pitch_rad: f64,
     /// Covariance of (roll, pitch), radians².
     pub covariance: Matrix2<f64>,
-    /// The readout time estimated with it; `None` if it was not estimated.
-    pub readout: Option<ReadoutMeasurement>,
     /// Whether the motion determined both angles.
     pub observability: Observability,
     /// Standard deviation of (roll, pitch) between keyframes beyond the noise of the tracks,
@@ -266,16 +258,9 @@ impl DrivenTilt {
             rates: RateHistory::default(),
             relief_seen: false,
             relief: MeanSquare::default(),
-            assumed_readout_s: camera.readout_s().unwrap_or(0.0),
             pending: VecDeque::new(),
             path: DrivenPath::default(),
         }
-    }
-
-    /// Sets the readout time that the odometry assumes, seconds, if the readout time is to be
-    /// estimated.
-    fn set_assumed_readout_s(&mut self, readout_s: f64) {
-        self.assumed_readout_s = readout_s;
     }
 
     /// Takes the next frame, the result of [`Odometry::process`], and its tracks.
@@ -340,11 +325,6 @@ impl DrivenTilt {
         if self.groups.last().is_none_or(|group| !group.pairs.is_empty()) {
             self.groups.push(Group::default());
         }
-    }
-
-    /// Whether this can be a readout time: it must not exceed the time between frames.
-    pub(super) fn is_possible(&self, found: &ReadoutMeasurement) -> bool {
-        found.readout_s.abs() <= self.rates.step_s()
     }
 
     /// Whether a plane explains the tracks, with the estimate, as well as elevations do where the
@@ -419,7 +399,6 @@ impl DrivenTilt {
             roll_rad: solved.roll_rad + combined.offset[0],
             pitch_rad: solved.pitch_rad + combined.offset[1],
             covariance,
-            readout: (N > READOUT).then(|| ReadoutMeasurement::new(solved, combined, self.assumed_readout_s)),
             observability,
             scatter_rad: [0, 1].map(|k| combined.scatter[k].sqrt()),
             keyframes: solved.parts.len(),

@@ -1,4 +1,4 @@
-//! Detects while tracking that mount, lens or readout time differ from the given calibration.
+//! Detects while tracking that mount or lens differ from the given calibration.
 //!
 //! Ground reconstructed with a wrong tilt slopes: a camera at constant height seems to climb by one
 //! part in sixty per degree, and the path is stretched. A wrong distortion looks like a tilt
@@ -7,13 +7,9 @@
 //! hundredth of a pixel on well-textured ground. A recording is then tracked again with what was
 //! found.
 
-use super::{
-    DrivenTilt, DrivingConfig, LensMeasurement, MAX_SIGMA_RATIO, Observability, ReadoutMeasurement,
-    TiltMeasurement,
-};
+use super::{DrivenTilt, DrivingConfig, LensMeasurement, MAX_SIGMA_RATIO, Observability, TiltMeasurement};
 use crate::camera::{Camera, Rig};
 use crate::geometry::GroundPose;
-use crate::motion::Readout;
 use crate::odometry::Odometry;
 use crate::trajectory::FrameEstimate;
 use nalgebra::Vector2;
@@ -25,7 +21,6 @@ pub struct CalibrationMonitor {
     given: Rig,
     /// Whether the lens is estimated, too.
     lens: bool,
-    readout_is_given: bool,
     /// The estimate in use, by an earlier check: nothing while the given calibration is.
     in_use: CalibrationUpdate,
     /// Whether the odometry itself deviates from the given height or tilt.
@@ -39,8 +34,6 @@ pub struct CalibrationMonitor {
 pub struct CalibrationUpdate {
     /// The tilt.
     pub tilt: Option<TiltMeasurement>,
-    /// The readout time.
-    pub readout: Option<ReadoutMeasurement>,
     /// The lens.
     pub lens: Option<LensMeasurement>,
     /// Number of pairs of views behind it.
@@ -50,7 +43,7 @@ pub struct CalibrationUpdate {
 impl CalibrationUpdate {
     /// Whether nothing differs: what an earlier check found is withdrawn.
     pub fn is_nothing(&self) -> bool {
-        self.tilt.is_none() && self.readout.is_none() && self.lens.is_none()
+        self.tilt.is_none() && self.lens.is_none()
     }
 
     /// A rig with the estimated tilt.
@@ -61,15 +54,11 @@ impl CalibrationUpdate {
         }
     }
 
-    /// The camera with the estimated lens and readout time.
+    /// The camera with the estimated lens.
     pub fn camera(&self, given: &Camera) -> Camera {
         let camera = self.lens.as_ref().map_or_else(|| given.clone(), |lens| lens.camera.clone());
-        let (readout_s, deviation_s) = match self.readout {
-            Some(found) => (Some(found.readout_s), found.deviation_s),
-            None => (given.readout_s(), given.readout_deviation_s()),
-        };
-        match camera.clone().with_readout_s(readout_s) {
-            Ok(camera) => camera.with_readout_deviation_s(deviation_s),
+        match camera.clone().with_readout_s(given.readout_s()) {
+            Ok(camera) => camera.with_readout_deviation_s(given.readout_deviation_s()),
             Err(_) => camera,
         }
     }
@@ -116,16 +105,13 @@ impl CalibrationMonitor {
             DrivingConfig { max_tracks: MAX_TRACKS, max_pairs: LAST_CHECK, ..DrivingConfig::default() };
         let driven = DrivenTilt::new(camera, config);
         let (in_use, next_check) = (CalibrationUpdate::default(), FIRST_CHECK);
-        let readout_is_given = camera.readout_s().is_some();
-        Self { driven, given: *given, lens: true, readout_is_given, in_use, deviates: false, next_check }
+        Self { driven, given: *given, lens: true, in_use, deviates: false, next_check }
     }
 
     /// Starts with the given camera and rig where the odometry uses an earlier estimate.
     pub fn with_estimate(camera: &Camera, given: &Rig, in_use: &CalibrationUpdate) -> Self {
         let next_check = RECHECK_FACTOR * in_use.pairs;
-        let mut watch = Self::new(camera, given);
-        watch.driven.set_assumed_readout_s(in_use.camera(camera).readout_s().unwrap_or(0.0));
-        Self { in_use: in_use.clone(), deviates: true, next_check, ..watch }
+        Self { in_use: in_use.clone(), deviates: true, next_check, ..Self::new(camera, given) }
     }
 
     /// The lens is known and not estimated.
@@ -150,7 +136,6 @@ impl CalibrationMonitor {
     pub(super) fn collect(&mut self, frame: &FrameEstimate, odometry: &Odometry) {
         if self.next_check <= LAST_CHECK {
             self.driven.watch(frame, odometry);
-            self.deviates |= !self.readout_is_given && odometry.readout().is_some_and(seems_rolling);
             self.deviates |= frame.estimate.as_ref().is_some_and(|known| self.differs(&known.pose));
         }
     }
@@ -186,15 +171,12 @@ impl CalibrationMonitor {
         }
         let (tilt, lens) = self.measured()?;
         let (used, explains) = (&self.in_use, self.driven.explains(&tilt));
-        let readout = tilt.readout.filter(|found| {
-            explains && self.is_believed(found) || used.readout.is_some_and(|used| found.agrees_with(&used))
-        });
         let tilt = Some(tilt).filter(|tilt| {
             explains && self.differs_significantly(tilt)
                 || used.tilt.as_ref().is_some_and(|used| agrees(tilt, used))
         });
         let lens = lens.filter(|_| explains);
-        let found = CalibrationUpdate { tilt, readout, lens, pairs: self.driven.pairs() };
+        let found = CalibrationUpdate { tilt, lens, pairs: self.driven.pairs() };
         self.replaces(&found).then_some(found)
     }
 
@@ -228,12 +210,7 @@ impl CalibrationMonitor {
     fn replaces(&self, found: &CalibrationUpdate) -> bool {
         let used = &self.in_use;
         changes(&used.tilt, &found.tilt, is_better)
-            || changes(&used.readout, &found.readout, |found, used| found.is_better_than(used))
             || changes(&used.lens, &found.lens, |found, used| found.is_better_than(used))
-    }
-
-    fn is_believed(&self, found: &ReadoutMeasurement) -> bool {
-        !self.readout_is_given && self.driven.is_possible(found) && found.differs_from(0.0)
     }
 
     /// Whether a tilt differs from the given one significantly, steadily and by enough to matter.
@@ -275,10 +252,3 @@ fn is_better(found: &TiltMeasurement, used: &TiltMeasurement) -> bool {
 
 /// A better tilt is used if it differs by this much, radians.
 const MIN_CHANGE_RAD: f64 = 5e-5;
-
-/// Standard deviations from zero from which a readout time is worth a check.
-const ROLLING_SIGMAS: f64 = 1.5;
-
-fn seems_rolling(readout: Readout) -> bool {
-    readout.mean_s.powi(2) > ROLLING_SIGMAS * ROLLING_SIGMAS * readout.variance_s2
-}

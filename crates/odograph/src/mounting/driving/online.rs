@@ -2,43 +2,74 @@
 
 use super::{CalibrationMonitor, CalibrationUpdate};
 use crate::camera::{Camera, Rig};
+use crate::continuous_time::ReadoutEstimation;
 use crate::error::Result;
-use crate::motion::RigPriorEstimator;
+use crate::motion::{Readout, RigPriorEstimator};
 use crate::odometry::Odometry;
 use crate::trajectory::FrameEstimate;
 use std::thread::{self, JoinHandle};
 
-/// Monitors a live recording as [`CalibrationMonitor`] does, and recalibrates the odometry from the
-/// next keyframe on, so that the pose is continuous. A recording that can be read again is tracked
-/// again instead.
+/// Monitors a live recording as [`CalibrationMonitor`] and [`ReadoutEstimation`] do, and
+/// recalibrates the odometry from the next keyframe on, so that the pose is continuous. A recording
+/// that can be read again is tracked again instead.
 ///
-/// The bundle is solved on a thread of its own. Its result is used a fixed number of frames later,
+/// Adjustments run on a thread of their own. Their results are used a fixed number of frames later,
 /// so that the trajectory does not depend on the speed of the machine.
 #[derive(Debug)]
 pub struct OnlineCalibration {
     given: (Camera, Rig),
     watch: CalibrationMonitor,
-    solving: Option<Solving>,
+    lens_is_known: bool,
+    solving: Option<Solving<Option<CalibrationUpdate>>>,
     found: Option<CalibrationUpdate>,
+    /// While the readout time is unknown.
+    readout: Option<ReadoutEstimation>,
+    adjusting: Option<Solving<(ReadoutEstimation, Option<Readout>)>>,
 }
 
-/// A bundle that is being solved.
+/// An adjustment that is being solved.
 #[derive(Debug)]
-struct Solving {
+struct Solving<T> {
     /// Frames until its result is due.
     frames: usize,
-    result: JoinHandle<Option<CalibrationUpdate>>,
+    result: JoinHandle<T>,
+}
+
+impl<T: Send + 'static> Solving<T> {
+    /// `None` if the system has no thread to spare.
+    fn begin(frames: usize, solve: impl FnOnce() -> T + Send + 'static) -> Option<Self> {
+        Some(Self { frames, result: thread::Builder::new().spawn(solve).ok()? })
+    }
+}
+
+/// One frame less until an adjustment is due; its result then. A solver that panicked has found
+/// nothing.
+fn next_frame<T>(solving: &mut Option<Solving<T>>, is_keyframe: bool) -> Option<T> {
+    let all = solving.as_mut()?;
+    all.frames = all.frames.saturating_sub(1);
+    solving.take_if(|all| all.frames == 0 && is_keyframe)?.result.join().ok()
 }
 
 /// Pairs of views that are solved within the time of one frame: a pair takes 2 to 4 ms.
 const PAIRS_PER_FRAME: usize = 4;
+
+/// Frames that the adjustment of the readout time may take: some 0.2 s.
+const READOUT_FRAMES: usize = 15;
 
 impl OnlineCalibration {
     /// Starts with the given calibration; the lens is kept if `lens_is_known`.
     pub fn new(camera: &Camera, rig: &Rig, lens_is_known: bool) -> Self {
         let watch = CalibrationMonitor::new(camera, rig);
         let watch = if lens_is_known { watch.with_lens_known() } else { watch };
-        Self { given: (camera.clone(), *rig), watch, solving: None, found: None }
+        Self {
+            given: (camera.clone(), *rig),
+            watch,
+            lens_is_known,
+            solving: None,
+            found: None,
+            readout: ReadoutEstimation::new(camera),
+            adjusting: None,
+        }
     }
 
     /// Takes the next frame, the result of [`Odometry::process`]. Returns whether the odometry was
@@ -49,16 +80,31 @@ impl OnlineCalibration {
     /// Where the odometry does not take the calibration; see [`Odometry::recalibrate`].
     pub fn watch(&mut self, frame: &FrameEstimate, odometry: &mut Odometry) -> Result<bool> {
         self.watch.collect(frame, odometry);
-        match &mut self.solving {
-            Some(solving) => solving.frames = solving.frames.saturating_sub(1),
-            None if self.watch.is_due() => self.solving = self.begin(),
-            None => {}
+        let is_due = self.readout.as_mut().is_some_and(|readout| readout.collect(frame, odometry));
+        if is_due && self.adjusting.is_none() {
+            let copy = self.readout.as_mut().map(ReadoutEstimation::take_window);
+            self.adjusting = copy.and_then(|mut copy| {
+                Solving::begin(READOUT_FRAMES, move || {
+                    let found = copy.adjust();
+                    (copy, found)
+                })
+            });
         }
-        let Some(solving) = self.solving.take_if(|solving| solving.frames == 0 && frame.keyframe) else {
-            return Ok(false);
-        };
-        // A solver that panicked has found nothing.
-        let Some(found) = solving.result.join().ok().flatten() else { return Ok(false) };
+        if let Some((readout, found)) = next_frame(&mut self.adjusting, frame.keyframe) {
+            return self.take_readout(readout, found, odometry);
+        }
+        if self.solving.is_none() && self.watch.is_due() {
+            self.watch.schedule_next();
+            let watch = self.watch.clone();
+            let frames = watch.pairs().div_ceil(PAIRS_PER_FRAME);
+            self.solving = Solving::begin(frames, move || watch.check());
+        } else if let Some(Some(found)) = next_frame(&mut self.solving, frame.keyframe) {
+            return self.take(found, odometry);
+        }
+        Ok(false)
+    }
+
+    fn take(&mut self, found: CalibrationUpdate, odometry: &mut Odometry) -> Result<bool> {
         let (camera, rig) = &self.given;
         let rig = found.rig(rig);
         let had_tilt = self.found().is_some_and(|found| found.tilt.is_some());
@@ -72,13 +118,33 @@ impl OnlineCalibration {
         Ok(true)
     }
 
-    /// `None` if the system has no thread to spare; the next look is tried again.
-    fn begin(&mut self) -> Option<Solving> {
-        self.watch.schedule_next();
-        let watch = self.watch.clone();
-        let frames = watch.pairs().div_ceil(PAIRS_PER_FRAME);
-        let result = thread::Builder::new().spawn(move || watch.check()).ok()?;
-        Some(Solving { frames, result })
+    /// Takes the adjusted windows, and the readout time if they determine it. What was found of
+    /// mount and lens in images that were skewed is dropped.
+    fn take_readout(
+        &mut self,
+        adjusted: ReadoutEstimation,
+        found: Option<Readout>,
+        odometry: &mut Odometry,
+    ) -> Result<bool> {
+        let Some(Readout { mean_s, variance_s2 }) = found else {
+            if let Some(readout) = &mut self.readout {
+                readout.take_adjusted(adjusted);
+            }
+            return Ok(false);
+        };
+        let (camera, rig) = self.given.clone();
+        let camera = camera.with_readout_s(Some(mean_s))?.with_readout_deviation_s(variance_s2.sqrt());
+        if mean_s == 0.0 {
+            let present = self.found.as_ref().map_or_else(|| camera.clone(), |found| found.camera(&camera));
+            odometry.recalibrate(present, None)?;
+            (self.given, self.readout) = ((camera, rig), None);
+        } else {
+            let had_tilt = self.found().is_some_and(|found| found.tilt.is_some());
+            let mount = had_tilt.then(RigPriorEstimator::unknown_mount_tilt);
+            odometry.recalibrate(camera.clone(), mount.map(|covariance| (&rig, covariance)))?;
+            *self = Self::new(&camera, &rig, self.lens_is_known);
+        }
+        Ok(true)
     }
 
     /// The rig that is in use.

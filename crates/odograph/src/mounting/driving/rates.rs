@@ -26,8 +26,6 @@ const POSES_AT_ENDS: usize = 3;
 #[derive(Debug, Clone, Default)]
 pub struct RateHistory {
     frames: u64,
-    /// Times of the first and the last frame, seconds.
-    span_s: Option<(f64, f64)>,
     /// Frame count, time and pose of the last frames without a gap.
     poses: VecDeque<(u64, f64, Vector6<f64>)>,
     /// Frames whose rates are known, as many as [`POSES`].
@@ -42,8 +40,6 @@ impl RateHistory {
     pub fn push(&mut self, frame: &FrameEstimate, keyframe: Option<KeyframeId>) -> u64 {
         self.frames += 1;
         let count = self.frames;
-        let (first_s, _) = self.span_s.unwrap_or((frame.time_s, frame.time_s));
-        self.span_s = Some((first_s, frame.time_s));
         let Some(estimate) = &frame.estimate else {
             self.poses.clear();
             return count;
@@ -70,14 +66,6 @@ impl RateHistory {
             self.poses.pop_front();
         }
         count
-    }
-
-    /// Mean time between two frames, seconds; infinite before there are two.
-    pub fn step_s(&self) -> f64 {
-        match self.span_s {
-            Some((first_s, last_s)) if self.frames > 1 => (last_s - first_s) / (self.frames - 1) as f64,
-            _ => f64::INFINITY,
-        }
     }
 
     /// How the camera moved in a frame; `None` where they are not known, or not any more.
@@ -136,28 +124,6 @@ fn derivative(times: &[f64], at: usize) -> Vec<f64> {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::trajectory::{LossReason, TrackStatus};
-
-    #[test]
-    fn the_time_between_frames_bounds_a_readout_time() {
-        let mut history = RateHistory::default();
-        assert_eq!(history.step_s(), f64::INFINITY);
-        for number in 0..5 {
-            let frame = FrameEstimate {
-                frame: number,
-                time_s: 3.0 + 0.04 * number as f64,
-                status: TrackStatus::Lost { reason: LossReason::Dark },
-                estimate: None,
-                tracks: 0,
-                inliers: 0,
-                residual_px: 0.0,
-                keyframe: false,
-                segment: 0,
-            };
-            history.push(&frame, None);
-        }
-        assert!((history.step_s() - 0.04).abs() < 1e-12);
-    }
 
     #[test]
     fn the_derivative_of_a_polynomial_is_exact() {

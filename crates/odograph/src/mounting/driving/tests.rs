@@ -65,9 +65,10 @@ fn turning(index: usize, random: &mut Random) -> [f64; 3] {
 }
 
 #[test]
-fn the_readout_time_is_not_taken_for_a_tilt() {
+fn a_rolling_shutter_is_not_taken_for_a_tilt() {
     // From standstill to driving straight ahead: within one pair skew looks like a tilt.
-    let (camera, readout_s, mut random) = (camera(), 0.020, Random::new(9));
+    let (readout_s, mut random) = (0.020, Random::new(9));
+    let camera = camera().with_readout_s(Some(readout_s)).unwrap();
     let mut driven = DrivenTilt::new(&camera, DrivingConfig::default());
     driven.groups.clear();
     let speed = |x_m: f64| (2.0 * 0.6 * x_m).sqrt().min(0.5);
@@ -108,9 +109,6 @@ fn the_readout_time_is_not_taken_for_a_tilt() {
         driven.groups.push(Group { pairs });
     }
     let found = driven.self_calibration(&Rig::level(1.0), 0).unwrap().tilt;
-    let readout = found.readout.unwrap();
-    assert!((readout.readout_s - readout_s).abs() < 4.0 * readout.deviation_s, "{readout:?}");
-    assert!(readout.differs_from(0.0) && readout.deviation_s < 0.001, "{readout:?}");
     assert!(off(&found).norm() < 2e-3, "{found:?}");
 }
 

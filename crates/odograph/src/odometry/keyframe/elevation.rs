@@ -110,19 +110,18 @@ impl Keyframe {
     }
 
     /// Learns the elevations of its corners from a frame measured against it, and how rough the
-    /// ground is; kerbs only where the shutter is known, because skew looks like one.
+    /// ground is.
     pub fn learn_elevations(
         &mut self,
         found: &[FoundCorner],
         frame: &MotionEstimate,
         camera: &Camera,
-        sees_kerbs: bool,
     ) -> Roughness {
         let ground = GroundProjection::new(camera, &self.pose, &self.shutter, (self.level_m, None));
         let mut roughness = Roughness::default();
         let level_m = self.surface.as_ref().map_or(self.level_m, Surface::mean_m);
         let highest_m = MAX_KERB_HEIGHT * self.pose.height_m;
-        let is_exact = sees_kerbs && frame.residual_px < KERB_PX;
+        let is_exact = frame.residual_px < KERB_PX;
         for ((found, seen), agrees) in found.iter().zip(&frame.elevations).zip(&frame.inliers) {
             let corner = &mut self.corners[found.corner];
             if seen.is_plausible

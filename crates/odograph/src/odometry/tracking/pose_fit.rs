@@ -94,6 +94,14 @@ impl PoseFit<'_> {
             if rough.is_some() {
                 return rough;
             }
+            // A camera that is carried freely looks at its first ground with a tilt that no rig
+            // states.
+            if !self.priors[0].holds_tilt()
+                && let Some(tilted) = self.tilted().clone()
+                && explains_better(&tilted, &flat, UNEVEN_FACTORS.over_plane)
+            {
+                return Some(tilted);
+            }
         }
         flat
     }

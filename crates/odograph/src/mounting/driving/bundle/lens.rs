@@ -44,7 +44,8 @@ impl LensUnknowns {
             Distortion::DoubleSphere { .. } => &["alpha"],
         };
         let size = (camera.width(), camera.height());
-        let camera = Camera::new(size, camera.focal_px(), camera.principal_px(), distortion).ok()?;
+        let lens = Camera::new(size, camera.focal_px(), camera.principal_px(), distortion).ok()?;
+        let camera = lens.with_readout_s(camera.readout_s()).ok()?;
         let mut lens = Self {
             camera,
             names: &all[..count.min(all.len())],

@@ -1,5 +1,5 @@
-//! Bundle adjustment of pairs of views: common unknowns are the tilt, the readout time and the
-//! lens; each pair has a planar motion of its own.
+//! Bundle adjustment of pairs of views: common unknowns are the tilt and the lens; each pair has a
+//! planar motion of its own.
 
 mod lens;
 mod pair;
@@ -17,12 +17,11 @@ use std::ops::AddAssign;
 use system::System;
 use variation::{KeyframeVariation, PairVariation};
 
-/// The solution and the normal equations of each keyframe: the tilt if `N` is 2, with the readout
-/// time if it is 3, and `N` − 3 distortion parameters.
+/// The solution and the normal equations of each keyframe: the tilt and `N` − 2 distortion
+/// parameters.
 pub struct Solved<const N: usize> {
     pub roll_rad: f64,
     pub pitch_rad: f64,
-    pub readout_s: f64,
     /// The change of each distortion parameter.
     pub lens_change: Vec<f64>,
     pub parts: Vec<Part<N>>,
@@ -49,10 +48,8 @@ const MIN_INLIERS: f64 = 12.0;
 
 /// Roll and pitch are the first common unknowns.
 pub const TILT: usize = 2;
-/// The readout time follows, seconds.
-pub const READOUT: usize = 2;
 /// Number of common unknowns without the lens.
-pub const LENS_START: usize = 3;
+pub const LENS_START: usize = TILT;
 
 pub fn solve<'a, const N: usize>(
     camera: &Camera,
@@ -72,7 +69,6 @@ pub fn solve<'a, const N: usize>(
 /// All unknowns.
 struct PairBundle<'a, const N: usize> {
     tilt: Vector2<f64>,
-    readout: ReadoutUnknown,
     lens: LensUnknowns,
     pairs: Vec<SolvedPair<'a>>,
     pair_variation: PairVariation,
@@ -85,18 +81,14 @@ impl<'a, const N: usize> PairBundle<'a, N> {
     fn begin(camera: &Camera, groups: impl ExactSizeIterator<Item = &'a Group>, start: &Rig) -> Option<Self> {
         let tilt = Vector2::new(start.roll_rad, start.pitch_rad);
         let lens = LensUnknowns::new(camera, N.saturating_sub(LENS_START))?;
-        let readout = ReadoutUnknown::new(camera);
         let keyframe_tilts = vec![Vector2::zeros(); groups.len()];
         let pairs = groups
             .enumerate()
             .flat_map(|(group, pairs)| pairs.pairs.iter().map(move |pair| (group, pair)))
-            .filter_map(|(group, pair)| {
-                SolvedPair::begin(&lens, readout.value_s, group, pair, &first_pose(&tilt))
-            })
+            .filter_map(|(group, pair)| SolvedPair::begin(&lens, group, pair, &first_pose(&tilt)))
             .collect();
         Some(Self {
             tilt,
-            readout,
             lens,
             pairs,
             pair_variation: PairVariation::default(),
@@ -112,13 +104,7 @@ impl<'a, const N: usize> PairBundle<'a, N> {
 
     fn systems(&self) -> Vec<System<N>> {
         let system = |pair: &SolvedPair<'_>| {
-            System::new(
-                &self.lens,
-                self.readout.value_s,
-                pair,
-                &self.first_pose(pair),
-                &self.pair_variation.variance,
-            )
+            System::new(&self.lens, pair, &self.first_pose(pair), &self.pair_variation.variance)
         };
         self.pairs.iter().map(system).collect()
     }
@@ -139,7 +125,6 @@ impl<'a, const N: usize> PairBundle<'a, N> {
         let systems = self.systems();
         let parts = self.parts(&systems);
         let mut all = self.lens.prior();
-        self.readout.add_prior(&mut all);
         for (part, keyframe_tilt) in parts.iter().zip(&self.keyframe_tilts) {
             all += self.keyframe_variation.marginalised(part, keyframe_tilt)?.reduced;
         }
@@ -148,10 +133,7 @@ impl<'a, const N: usize> PairBundle<'a, N> {
         if self.tilt.iter().any(|angle| angle.is_nan() || angle.abs() >= MAX_TILT_RAD) {
             return None;
         }
-        if N > READOUT {
-            self.readout.value_s += step[READOUT];
-            self.lens.add_change(&step.as_slice()[LENS_START..])?;
-        }
+        self.lens.add_change(&step.as_slice()[LENS_START..])?;
         let mut steps = Vec::with_capacity(parts.len());
         let mut variances = Vec::with_capacity(parts.len());
         for (part, keyframe_tilt) in parts.iter().zip(&mut self.keyframe_tilts) {
@@ -171,7 +153,7 @@ impl<'a, const N: usize> PairBundle<'a, N> {
             if N > LENS_START {
                 pair.update_rays(&self.lens);
             }
-            pair.reweight(self.lens.camera(), self.readout.value_s, pose, iteration);
+            pair.reweight(self.lens.camera(), pose, iteration);
         }
         // The first steps are long; their residuals say nothing about the mount's variation.
         if iteration >= 2 {
@@ -198,37 +180,10 @@ impl<'a, const N: usize> PairBundle<'a, N> {
         Solved {
             roll_rad: self.tilt[0],
             pitch_rad: self.tilt[1],
-            readout_s: self.readout.value_s,
             lens_change: self.lens.change().to_vec(),
             parts,
             pairs,
             rms_px: (squares / f64::max(kept, 1.0)).sqrt(),
-        }
-    }
-}
-
-/// The readout time as an unknown.
-struct ReadoutUnknown {
-    value_s: f64,
-    /// Prior mean and standard deviation, seconds.
-    prior: (f64, f64),
-}
-
-/// Prior standard deviations of a given readout time and of an unknown one, seconds.
-const GIVEN_READOUT_S: f64 = 1e-8;
-const UNKNOWN_READOUT_S: f64 = 0.015;
-
-impl ReadoutUnknown {
-    fn new(camera: &Camera) -> Self {
-        let prior = camera.readout_s().map_or((0.0, UNKNOWN_READOUT_S), |given_s| (given_s, GIVEN_READOUT_S));
-        Self { value_s: prior.0, prior }
-    }
-
-    fn add_prior<const N: usize>(&self, known: &mut Part<N>) {
-        if N > READOUT {
-            let information = self.prior.1.powi(-2);
-            known.information[(READOUT, READOUT)] += information;
-            known.slope[READOUT] -= information * (self.value_s - self.prior.0);
         }
     }
 }
@@ -248,7 +203,6 @@ impl<const N: usize> Solved<N> {
         Solved {
             roll_rad: self.roll_rad,
             pitch_rad: self.pitch_rad,
-            readout_s: self.readout_s,
             lens_change: self.lens_change[..M - LENS_START].to_vec(),
             parts: self.parts.iter().map(|part| part.with_known::<M>(&given)).collect(),
             pairs: self.pairs,

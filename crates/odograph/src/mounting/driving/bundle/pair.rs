@@ -39,11 +39,6 @@ impl<'a> Views<'a> {
         (y + 0.5) / self.rows - 0.5
     }
 
-    fn by_readout(&self, view: usize, y: f64) -> Vector6<f64> {
-        let fraction = self.row_fraction(y);
-        fraction * (self.rates[view] + fraction * self.readout_s * self.accelerations[view])
-    }
-
     fn pose(&self, view: usize, y: f64) -> GroundPose {
         let later_s = self.readout_s * self.row_fraction(y);
         let moved = later_s * (self.rates[view] + 0.5 * later_s * self.accelerations[view]);
@@ -76,16 +71,6 @@ impl<'a> Views<'a> {
     pub fn second(&self, y: f64) -> PosedCamera<'a> {
         self.posed(1, y)
     }
-
-    /// The derivative of the pose of a row of the first view by the readout time.
-    pub fn first_by_readout(&self, y: f64) -> Vector6<f64> {
-        self.by_readout(0, y)
-    }
-
-    /// The derivative of the pose of a row of the second view by the readout time.
-    pub fn second_by_readout(&self, y: f64) -> Vector6<f64> {
-        self.by_readout(1, y)
-    }
 }
 
 /// Over shorter distances, heights, the ratio to the odometry's distance is mostly noise.
@@ -105,13 +90,7 @@ pub struct SolvedPair<'a> {
 impl<'a> SolvedPair<'a> {
     /// The planar motion that best aligns the ground points of the inliers of the odometry
     /// (Umeyama, "Least-squares estimation of transformation parameters", 1991, without scale).
-    pub fn begin(
-        lens: &LensUnknowns,
-        readout_s: f64,
-        group: usize,
-        pair: &'a ViewPair,
-        rig: &GroundPose,
-    ) -> Option<Self> {
+    pub fn begin(lens: &LensUnknowns, group: usize, pair: &'a ViewPair, rig: &GroundPose) -> Option<Self> {
         let camera = lens.camera();
         let on_ground = |pixel| camera.ray_from_pixel(pixel).and_then(|ray| rig.ground_from_ray(ray));
         let agreeing: Vec<(GroundPoint, GroundPoint)> = pair
@@ -147,7 +126,7 @@ impl<'a> SolvedPair<'a> {
         let weights = vec![1.0; pair.tracks.len()];
         let mut solved = Self { pair, corners: Vec::new(), group, movement, weights, variance_px2: 1.0 };
         solved.update_rays(lens);
-        solved.reweight(lens.camera(), readout_s, rig, 0);
+        solved.reweight(lens.camera(), rig, 0);
         Some(solved)
     }
 }
@@ -175,7 +154,8 @@ impl SolvedPair<'_> {
     }
 
     /// The two views with their rolling shutter.
-    pub fn views<'b>(&self, camera: &'b Camera, readout_s: f64, rig: &GroundPose) -> Views<'b> {
+    pub fn views<'b>(&self, camera: &'b Camera, rig: &GroundPose) -> Views<'b> {
+        let readout_s = camera.readout_s().unwrap_or(0.0);
         let poses = [rig.to_vector(), self.second_pose(rig).to_vector()];
         let still = [Vector6::zeros(); 2];
         let (rates, accelerations) = self.pair.exposure.map_or((still, still), |exposure| {
@@ -195,8 +175,8 @@ impl SolvedPair<'_> {
     }
 
     /// Updates the robust weights and the noise from the present residuals.
-    pub fn reweight(&mut self, camera: &Camera, readout_s: f64, rig: &GroundPose, iteration: usize) {
-        let views = self.views(camera, readout_s, rig);
+    pub fn reweight(&mut self, camera: &Camera, rig: &GroundPose, iteration: usize) {
+        let views = self.views(camera, rig);
         let errors: Vec<f64> = self
             .pair
             .tracks

@@ -2,7 +2,7 @@
 
 use super::lens::LensUnknowns;
 use super::pair::{Movement, SolvedPair};
-use super::{LENS_START, READOUT, TILT};
+use super::{LENS_START, TILT};
 use crate::geometry::GroundPose;
 use crate::mounting::driving::PairedTrack;
 use crate::numerics::{Part, inverse};
@@ -21,12 +21,11 @@ pub struct System<const N: usize> {
 impl<const N: usize> System<N> {
     pub fn new(
         lens: &LensUnknowns,
-        readout_s: f64,
         solved: &SolvedPair<'_>,
         rig: &GroundPose,
         pair_variance: &[f64; 3],
     ) -> Self {
-        let views = solved.views(lens.camera(), readout_s, rig);
+        let views = solved.views(lens.camera(), rig);
         let mut system = Self {
             common: SMatrix::zeros(),
             cross: SMatrix::zeros(),
@@ -49,11 +48,6 @@ impl<const N: usize> System<N> {
                 seen.by_pose.fixed_columns::<TILT>(4) + seen.by_ground * met.by_pose.fixed_columns::<TILT>(4);
             let mut by_common = SMatrix::<f64, 2, N>::zeros();
             by_common.fixed_columns_mut::<TILT>(0).copy_from(&by_tilt);
-            if N > READOUT {
-                let by_first = seen.by_ground * met.by_pose * views.first_by_readout(corner_at.y);
-                by_common
-                    .set_column(READOUT, &(by_first + seen.by_pose * views.second_by_readout(seen_at.y)));
-            }
             for k in LENS_START..N {
                 let ray_by_lens = corner.by_lens[k - LENS_START];
                 let by_lens = pixel_by_lens[k - LENS_START] + seen.by_ground * (met.by_ray * ray_by_lens);
