@@ -35,8 +35,8 @@ const LEAST_NOISE_PX: f64 = 0.005;
 /// A readout time that is known is not estimated: its standard deviation, seconds.
 const FIXED_S: f64 = 1e-9;
 
-/// Elevations of the corners of a window above the plane, in heights: normal, with a common variance
-/// that is estimated with them.
+/// Elevations of the corners of a window above the plane, in heights: normal, with a common
+/// variance that is estimated with them.
 pub struct Elevations {
     /// For each track of each frame, the number of its corner.
     corners: Vec<Vec<usize>>,
