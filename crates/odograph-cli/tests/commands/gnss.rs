@@ -241,7 +241,9 @@ fn live_places_a_path_by_a_file_as_run_does() {
     let drive = Drive::new();
     let here = drive.here();
     fs::write(here.join("rtk.csv"), drive.csv()).unwrap();
-    let options = "sim/frames --fps 15 --camera sim/camera.yaml --rig armed.toml --gnss rtk.csv --quiet";
+    // A run that had to find out that the shutter is global would begin again.
+    let options =
+        "sim/frames --fps 15 --camera sim/camera.yaml --rig armed.toml --readout-ms 0 --gnss rtk.csv --quiet";
     done(here, &format!("run {options} -o run"));
     done(here, &format!("live {options} -o live"));
     for name in ["trajectory-utm.csv", "trajectory.geojson", "mosaic-utm.tif", "trajectory.csv"] {

@@ -38,8 +38,8 @@ pub struct PoseChange {
 const LOOKED_AT: u64 = 4;
 
 /// Images of an unknown shutter may be skewed as any readout time does it, until the camera has
-/// moved by this many heights: a freer model that is not needed loses. Only of a camera that is
-/// free ([`MotionModel::Free`]), whose tilt and lens may be anything, too.
+/// moved by this many heights: a freer model that is not needed loses. Not with
+/// [`MotionModel::Auto`], where mount, lens and readout time are estimated.
 const FREE_HEIGHTS: f64 = 0.6;
 
 /// Movement, in heights, after which an unknown readout time is reported.
@@ -57,7 +57,7 @@ impl ShutterState {
         };
         Self {
             readout,
-            is_free: model == MotionModel::Free,
+            is_free: model != MotionModel::Auto,
             steps_seen: 0,
             moved: 0.0,
             rates: RateFilter::new(height_m),

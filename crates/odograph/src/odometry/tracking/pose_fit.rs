@@ -96,7 +96,8 @@ impl PoseFit<'_> {
             }
             // A camera that is carried freely looks at its first ground with a tilt that no rig
             // states.
-            if !self.priors[0].holds_tilt()
+            if self.config.motion.model == MotionModel::Auto
+                && !self.priors[0].holds_tilt()
                 && let Some(tilted) = self.tilted().clone()
                 && explains_better(&tilted, &flat, UNEVEN_FACTORS.over_plane)
             {
