@@ -134,7 +134,8 @@ fn live_finds_the_markers_that_run_finds() {
         "simulate -o sim --path eight --length 4 --speed 1 --fps 20 --size 320x240 --format y4m --quiet \
          --markers aruco:4x4_50:100mm:2m --seed 5",
     );
-    let options = "sim/sim.y4m --camera sim/camera.yaml --rig sim/rig.toml --readout-ms 0 --quiet --markers aruco:4x4_50:100mm";
+    let options = "sim/sim.y4m --camera sim/camera.yaml --rig sim/rig.toml --readout-ms 0 --quiet \
+                   --markers aruco:4x4_50:100mm";
     for more in ["", " --control sim/markers.csv"] {
         done(here, &format!("run {options}{more} -o run --force"));
         done(here, &format!("live {options}{more} -o live --force"));
