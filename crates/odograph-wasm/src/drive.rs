@@ -17,7 +17,6 @@ use odograph_core::trajectory::{FrameSummary, distance_m};
 use odograph_core::{Camera, FrameEstimate, Odometry, OdometryConfig};
 use serde::Serialize;
 use std::collections::BTreeMap;
-use std::sync::Arc;
 
 /// One recording, tracked as `odograph run` tracks it, in memory alone.
 #[derive(Debug)]
