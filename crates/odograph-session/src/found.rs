@@ -236,7 +236,7 @@ impl FoundReadout {
         }
         let why_not = match is_fixed_mount {
             true => "with height and tilt fixed (--motion rigid, --field-of-view)",
-            false => "because the drive has too few turns and changes of speed, or uneven ground",
+            false => "because the drive has too few turns and changes of speed, or can be read only once",
         };
         let may_be_global = readout_ms.abs() <= GLOBAL_SIGMAS * deviation_ms;
         Some(match (self.is_known(), may_be_global) {

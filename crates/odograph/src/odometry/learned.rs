@@ -132,7 +132,7 @@ impl Learned {
         let becomes_rough = was_flat && self.relief_m2() > 0.0;
         if becomes_rough {
             // What was taken for a skew was the shape of the ground.
-            self.shutter.iter_mut().for_each(ShutterState::decide);
+            self.shutter.iter_mut().for_each(ShutterState::take_for_global);
         }
         becomes_rough
     }

@@ -75,7 +75,7 @@ impl ShutterState {
     }
 
     /// An unknown shutter is taken for a global one from here on.
-    pub fn decide(&mut self) {
+    pub fn take_for_global(&mut self) {
         self.is_free = false;
     }
 
