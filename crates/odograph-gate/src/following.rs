@@ -83,7 +83,7 @@ fn pass(
             }
         }
     }
-    if let Some(difference) = monitor.at_end() {
+    if let Some(difference) = monitor.at_end(&odometry) {
         return Ok(PassEnd::Differs(difference));
     }
     if let Some((mapper, _)) = &mut mapper {

@@ -3,18 +3,19 @@
 
 use crate::begun_run::{self, begun_file};
 use crate::files;
+use crate::growing_table::GrowingTable;
 use crate::kept_frames::KeptFrames;
 use crate::output::{MapUse, RunOutput};
 use crate::plan::RunPlan;
 use crate::statistics::RunStatistics;
 use crate::unfinished::UnfinishedRun;
 use odograph::error::{Error, Result};
-use odograph::formats::trajectory_file::{self, FRAMES_HEADER, frame_line, tum_header, tum_line};
+use odograph::formats::trajectory_file::{FRAMES_HEADER, frame_line, tum_header, tum_line};
 use odograph::pose_frame::{PoseFrame, PoseFrames};
 use odograph::trajectory::{FrameEstimate, StampedPose};
 use odograph_map::{MapClaim, MapFile, SessionOrigin};
-use std::fs::{self, File};
-use std::io::{Seek, Write};
+use std::fs;
+use std::io::Write;
 use std::path::{Path, PathBuf};
 
 /// The map of a run in its folder.
@@ -48,10 +49,9 @@ pub const RUN_FILES: [&str; 19] = [
 pub struct OutputFolder {
     path: PathBuf,
     /// The incremental trajectory; replaced by `trajectory.csv` at the end.
-    growing: File,
-    pending: Vec<FrameEstimate>,
-    /// Whether the header and some frames are on disk.
-    started: bool,
+    growing: GrowingTable,
+    /// Whether `trajectory.csv` is written.
+    has_path: bool,
     /// Whether it is written down what is run.
     begun: bool,
     /// Whether a map of an earlier run is there.
@@ -73,8 +73,8 @@ impl Drop for OutputFolder {
         if self.begun {
             begun_run::end(&self.path);
         }
-        if !self.started {
-            let _ = fs::remove_file(files::beside(&self.path.join("trajectory.csv")));
+        if !self.has_path && !self.growing.has_frames() {
+            self.growing.remove();
             if !self.had_map {
                 let _ = self.claims[0].remove_map();
             }
@@ -90,9 +90,6 @@ fn remove_folders(folders: &[PathBuf]) {
         let _ = fs::remove_dir(folder);
     }
 }
-
-/// Frames per write to disk: a second of video.
-const GROUP: usize = 30;
 
 impl OutputFolder {
     /// Prepares the folder and claims the map that will be written. Fails where results exist that
@@ -113,15 +110,12 @@ impl OutputFolder {
         let claims = claims(&own_map, &output.map).map_err(&undone)?;
         // Another run may have ended here since.
         check_free(path, force)?;
-        let growing_path = files::beside(&path.join("trajectory.csv"));
-        let growing = File::create(&growing_path)
-            .map_err(|error| undone(files::cannot_be_written(&growing_path, error)))?;
+        let growing = GrowingTable::create(path).map_err(&undone)?;
         let had_map = MapFile::is_there(&own_map);
         Ok(Self {
             path: path.to_owned(),
             growing,
-            pending: Vec::new(),
-            started: false,
+            has_path: false,
             begun: false,
             had_map,
             origin,
@@ -142,14 +136,9 @@ impl OutputFolder {
         begun_run::begin(&self.path, plan, output, self.origin.as_ref())
     }
 
-    /// Discards what was recorded, because the run starts again.
+    /// The run starts again: what was recorded is replaced by what is recorded from now on.
     pub fn begin_again(&mut self) -> Result<()> {
-        self.growing
-            .set_len(0)
-            .and_then(|()| self.growing.rewind())
-            .map_err(|error| files::cannot_be_written(&self.path.join("trajectory.csv"), error))?;
-        self.pending.clear();
-        self.started = false;
+        self.growing.begin_again()?;
         // A site that has something of the session before has other keyframes than those to come.
         self.origin = self.origin.as_ref().map(SessionOrigin::following);
         Ok(())
@@ -167,24 +156,12 @@ impl OutputFolder {
 
     /// Adds a frame; frames are written to disk at least once per second of video.
     pub fn record(&mut self, frame: &FrameEstimate) -> Result<()> {
-        self.pending.push(frame.clone());
-        if self.pending.len() >= GROUP { self.flush() } else { Ok(()) }
+        self.growing.record(frame)
     }
 
     /// Writes recorded frames to disk.
     pub fn flush(&mut self) -> Result<()> {
-        if self.pending.is_empty() {
-            return Ok(());
-        }
-        let text = trajectory_file::csv_from_frames(&self.pending);
-        // The header is written once.
-        let body = if self.started { text.split_once('\n').map_or("", |(_, body)| body) } else { &text };
-        self.pending.clear();
-        self.growing
-            .write_all(body.as_bytes())
-            .map_err(|error| files::cannot_be_written(&self.path.join("trajectory.csv"), error))?;
-        self.started = true;
-        Ok(())
+        self.growing.flush()
     }
 
     /// Removes a file of an earlier run that this run does not write.
@@ -267,9 +244,9 @@ impl OutputFolder {
                 frames.each(|frame, _| put(&frame_line(&of.frame(frame))))
             })
         })?;
-        let _ = fs::remove_file(files::beside(&path));
+        self.growing.remove();
         self.is_written(path);
-        self.started = true;
+        self.has_path = true;
         self.write_tum("trajectory.tum", of.last(), |put| {
             frames.each(|frame, _| of.stamped(frame).as_ref().map_or(Ok(()), &mut *put))
         })?;
@@ -333,7 +310,7 @@ pub(crate) fn check_free(folder: &Path, force: bool) -> Result<()> {
     }
     let own_map = folder.join(MAP_FILE);
     let is_there = |file: &PathBuf| if *file == own_map { MapFile::is_there(file) } else { file.exists() };
-    let growing = files::beside(&folder.join("trajectory.csv"));
+    let growing = GrowingTable::path_in(folder);
     let has_frames = fs::metadata(&growing).is_ok_and(|file| file.len() > 0);
     let has_frames = has_frames || begun_run::has_half_session(folder);
     let there = RUN_FILES.iter().map(|name| folder.join(name)).find(is_there);

@@ -9,6 +9,7 @@ use crate::observer::Observer;
 use crate::output::RunOutput;
 use crate::overlay_video::OverlayVideo;
 use crate::plan::RunPlan;
+use crate::recalibrated_odometry::RecalibratedOdometry;
 use crate::report::{OverlayFrame, ReportMark, RunReporter};
 use crate::statistics::LiveStatistics;
 use crate::timings::Timings;
@@ -17,7 +18,6 @@ use odograph::camera::{Camera, Rig};
 use odograph::error::{Error, Result};
 use odograph::image::ImageDefects;
 use odograph::odometry::{KeyframeEvent, Odometry, TrackView};
-use odograph::pose_frame::PoseFrame;
 use odograph::self_calibration::{CameraDifference, CameraMonitor, PassEnd};
 use odograph::trajectory::FrameEstimate;
 use odograph_video::{Frame, Source};
@@ -30,7 +30,7 @@ use std::time::Instant;
 pub struct Tracked {
     /// Frames, each with its reference.
     pub frames: KeptFrames,
-    /// The rig from a frame on, at each recalibration of a live run.
+    /// The rig from a frame on, at each recalibration of a source that is read once.
     pub recalibrated: Vec<(u64, Rig)>,
     /// Frames of the mosaic.
     pub views: MosaicFrames,
@@ -128,18 +128,16 @@ pub fn track(
     folder: &mut OutputFolder,
     output: &RunOutput,
     reporter: Option<&dyn RunReporter>,
+    odometry: RecalibratedOdometry,
     monitor: CameraMonitor,
     observer: &dyn Observer,
 ) -> Result<PassEnd<Tracked>> {
-    let mut odometry = plan.odometry()?;
-    odometry.record_keyframes();
     let mapping = Mapping::new(plan, folder, output)?;
     let views = MosaicFrames::new(&plan.camera, folder.path());
     let video = output.video.as_ref().map(|path| begin_video(path, &plan.camera, reporter)).transpose()?;
     let mut tracking = TrackingStage {
         shows: video.is_some(),
         odometry,
-        pose_frame: plan.pose_frame()?,
         frames: KeptFrames::new(folder.path()),
         times: Timings::default(),
         calibration_times: Timings::default(),
@@ -165,12 +163,13 @@ pub fn track(
         threads => side_by_side(&mut decoding, &mut tracking, &mut ground, threads, queue(&plan.camera)),
     };
     let to_the_end = outcome.is_ok() && tracking.difference.is_none() && !observer.is_stop_asked();
-    let at_end = if to_the_end { tracking.monitor.at_end() } else { None };
+    let at_end = if to_the_end { tracking.monitor.at_end(&tracking.odometry.odometry) } else { None };
     if let Some(difference) = tracking.difference.or(at_end) {
         ground.mapping.discard()?;
         return Ok(PassEnd::Differs(difference));
     }
     observer.tracking_ends();
+    let (mount, lens) = tracking.odometry.found(plan);
     let MappingStage { views, mapping, video, unmapped, times: map_times, .. } = ground;
     // An interrupt after the last frame changes no result.
     let interrupted = observer.is_stop_asked() && announced != Some(tracking.frames.count() as u64);
@@ -187,7 +186,10 @@ pub fn track(
         failure: outcome.err(),
         unmapped,
         video: video.map(OverlayVideo::finish),
-        ..Tracked::of(plan, &tracking.odometry, tracking.frames, views, mapping)
+        mount,
+        lens,
+        recalibrated: std::mem::take(&mut tracking.odometry.recalibrated),
+        ..Tracked::of(plan, &tracking.odometry.odometry, tracking.frames, views, mapping)
     }))
 }
 
@@ -291,9 +293,7 @@ impl DecodingStage<'_> {
 struct TrackingStage<'a> {
     /// Whether the frames are drawn for a video.
     shows: bool,
-    odometry: Odometry,
-    /// The frame whose poses are written and reported.
-    pose_frame: PoseFrame,
+    odometry: RecalibratedOdometry,
     frames: KeptFrames,
     times: Timings,
     calibration_times: Timings,
@@ -325,17 +325,15 @@ impl TrackingStage<'_> {
     /// `None` once it is certain that the camera is different.
     fn next(&mut self, frame: Frame) -> Result<Option<TrackedFrame>> {
         let started = Instant::now();
-        let estimate = self.odometry.process(frame.gray.clone(), frame.time_s)?;
-        let estimate = FrameEstimate { frame: frame.number, ..estimate };
-        let mut events = self.odometry.take_keyframe_events();
+        let (estimate, mut events) = self.odometry.process(&frame)?;
         self.times.push(started.elapsed());
         let started = Instant::now();
-        self.difference = self.monitor.watch(&estimate, &self.odometry);
+        self.difference = self.monitor.watch(&estimate, &self.odometry.odometry);
         if self.difference.is_some() {
             return Ok(None);
         }
         self.calibration_times.push(started.elapsed());
-        let seen = self.pose_frame.frame(&estimate);
+        let seen = self.odometry.pose_frames.frame(&estimate);
         self.folder.record(&seen)?;
         self.observer.frame(&seen);
         let shown = self.shows.then(|| {
@@ -343,12 +341,12 @@ impl TrackingStage<'_> {
                 image: frame.clone(),
                 camera: estimate.clone(),
                 written: seen.into_owned(),
-                tracks: self.odometry.tracks().to_vec(),
+                tracks: self.odometry.odometry.tracks().to_vec(),
             })
         });
         let pose = estimate.ground_pose();
         let segment = estimate.segment;
-        self.frames.push(estimate, self.odometry.reference());
+        self.frames.push(estimate, self.odometry.odometry.reference());
         number_as_source(&mut events, |index| self.frames.number_in_source(index));
         let is_keyframe = is_made(&events, frame.number);
         let posed = pose.map(|pose| Posed { frame, pose, segment, is_keyframe });

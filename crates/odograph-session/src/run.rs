@@ -9,9 +9,10 @@ use crate::observer::Observer;
 use crate::outcome::RunOutcome;
 use crate::output::{RunOutput, explained};
 use crate::overlay_video::OverlayVideo;
-use crate::passes::{assume, calibration_of, examine_beginning};
+use crate::passes::{assume, calibration_of, examine_beginning, is_readable_again};
 use crate::pipeline::{self, Tracked};
 use crate::plan::RunPlan;
+use crate::recalibrated_odometry::RecalibratedOdometry;
 use crate::reference;
 use crate::report::RunReporter;
 use odograph::error::{Error, Result};
@@ -194,12 +195,18 @@ fn track(
     plan.take_lens_of(output.map.path())?;
     let (given_camera, given_rig) = (plan.camera.clone(), plan.rig);
     let mut calibration = calibration_of(plan);
-    if output.map.path().is_some_and(MapFile::is_there) {
+    let lens_is_known = output.map.path().is_some_and(MapFile::is_there);
+    if lens_is_known {
         examine_beginning(plan, &mut calibration, observer)?;
     }
+    let once = !is_readable_again(&plan.source);
     let mut source = Some(source);
     let tracked = calibration.track(|camera| {
         assume(plan, camera);
+        let odometry = match once {
+            true => RecalibratedOdometry::online(plan, lens_is_known)?,
+            false => RecalibratedOdometry::fixed(plan)?,
+        };
         let source = match source.take() {
             Some(source) => source,
             None => {
@@ -208,8 +215,11 @@ fn track(
                 plan.source.open()?
             }
         };
-        pipeline::track(plan, source, folder, output, reporter, camera.monitor(), observer)
+        pipeline::track(plan, source, folder, output, reporter, odometry, camera.monitor(), observer)
     })?;
+    if once {
+        return Ok(tracked);
+    }
     let found = calibration.found();
     let (mount, lens) = (FoundMount::of(&given_rig, found), FoundLens::of(&given_camera, found));
     Ok(Tracked { mount, lens, ..tracked })

@@ -1,7 +1,7 @@
 //! Runs that did not end: what they have left in their folder.
 
 use crate::begun_run::{BegunRun, begun_file};
-use crate::files;
+use crate::growing_table::GrowingTable;
 use odograph_map::MapClaim;
 use std::fs::File;
 use std::io::{BufRead, BufReader};
@@ -23,7 +23,7 @@ pub struct UnfinishedRun {
 impl UnfinishedRun {
     /// The unfinished run in a folder; `None` if the run is complete, or the folder has no run.
     pub fn in_folder(folder: &Path) -> Option<Self> {
-        let growing = files::beside(&folder.join("trajectory.csv"));
+        let growing = GrowingTable::path_in(folder);
         let has_begun = begun_file(folder).is_file();
         let has_path = growing.is_file() || folder.join("run.toml").is_file();
         if !has_begun && (!has_path || folder.join("stats.json").exists()) {

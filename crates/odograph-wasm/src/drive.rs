@@ -159,7 +159,7 @@ impl Drive {
     /// # Errors
     /// If a keyframe's image is missing.
     pub fn finish(&mut self, is_whole: bool) -> Result<std::result::Result<Summary, String>> {
-        if let Some(difference) = self.pass.monitor.at_end().filter(|_| is_whole) {
+        if let Some(difference) = self.pass.monitor.at_end(&self.pass.odometry).filter(|_| is_whole) {
             return self.again(difference).map(Err);
         }
         let before = self.pass.frames.clone();

@@ -192,7 +192,8 @@ impl CameraMonitor {
     /// it is certain.
     pub fn watch(&mut self, frame: &FrameEstimate, odometry: &Odometry) -> Option<CameraDifference> {
         if let Some(pattern) = odometry.correction().filter(|_| self.pattern) {
-            return Some(CameraDifference::FixedPattern(pattern.clone()));
+            // What the other monitors would see comes from frames before the correction, too.
+            return pattern.is_settled().then(|| CameraDifference::FixedPattern(pattern.clone()));
         }
         self.motion.iter_mut().for_each(|motion| motion.watch(frame, odometry));
         if let Some(found) = self.readout.as_mut().and_then(|readout| readout.watch(frame, odometry)) {
@@ -203,7 +204,10 @@ impl CameraMonitor {
     }
 
     /// The check at the end of the recording ([`CalibrationMonitor::at_end`]).
-    pub fn at_end(&self) -> Option<CameraDifference> {
+    pub fn at_end(&self, odometry: &Odometry) -> Option<CameraDifference> {
+        if let Some(pattern) = odometry.correction().filter(|_| self.pattern) {
+            return Some(CameraDifference::FixedPattern(pattern.clone()));
+        }
         let readout = || self.readout.as_ref()?.at_end().map(CameraDifference::Readout);
         let calibration = || {
             let found = self.calibration.as_ref()?.at_end()?;

@@ -15,6 +15,7 @@ mod tracking;
 use crate::builder::RunBuilder;
 use crate::mask;
 use crate::observer::Observer;
+use crate::passes::is_readable_again;
 use crate::plan::RunPlan;
 use appearance::Appearance;
 use findings::Seen;
@@ -68,8 +69,7 @@ impl RunBuilder {
         let given = given.map(|picture| ImageMask::from_picture(&picture));
         let given_share = given.as_ref().map_or(0.0, ImageMask::share);
         let stretches = stretches::of(info.frame_count);
-        let may_begin_again =
-            std::fs::metadata(&plan.source.path).is_ok_and(|there| there.is_file() || there.is_dir());
+        let may_begin_again = is_readable_again(&plan.source);
         let mut looked_at = Looked::new(size, &plan, given.clone());
         // Begins again as a run does: frames that were lost until a pattern that the camera adds,
         // or another mount or lens was known are not lost.

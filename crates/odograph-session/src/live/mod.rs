@@ -58,6 +58,7 @@ use crate::observer::Observer;
 use crate::outcome::RunOutcome;
 use crate::output::{RunOutput, explained};
 use crate::plan::{RunPlan, SourcePlan};
+use crate::recalibrated_odometry::RecalibratedOdometry;
 use crate::report::RunReporter;
 use gnss::{GnssReceiver, LiveGnss};
 use ground::LiveGround;
@@ -65,8 +66,6 @@ use mcap::McapLog;
 use odograph::error::{Error, Result};
 use odograph::filter::fusion::Sensors;
 use odograph::formats::camera_file;
-use odograph::motion::MotionModel;
-use odograph::mounting::OnlineCalibration;
 use odograph_live::capture::{Policy, Watch, without_credentials};
 use odograph_live::{Hub, Introduction};
 use odograph_map::MapFile;
@@ -252,8 +251,7 @@ impl LiveRun {
         let Self { plan, info, input, watch, folder, ground, hub, mcap, gnss, output, reporter, .. } = self;
         // Of a map that is continued the lens is the map's.
         let lens_is_known = output.map.path().is_some_and(MapFile::is_there);
-        let calibration = (plan.odometry.motion.model == MotionModel::Auto)
-            .then(|| OnlineCalibration::new(&plan.camera, &plan.rig, lens_is_known));
+        let odometry = RecalibratedOdometry::online(&plan, lens_is_known)?;
         let mapping = Mapping::new(&plan, &folder, &output)?;
         let recorder = Recorder::new(folder, &plan)?;
         let log = mcap.map(|path| McapLog::new(&path, &info.description, input.policy)).transpose()?;
@@ -268,6 +266,6 @@ impl LiveRun {
         };
         let sinks = LiveSinks { poses, log: log.as_ref() };
         let input = PipelineInput { frames: input, gnss };
-        pipeline::follow(&plan, calibration, input, &watch, &ground, &hub, mapping, recorder, sinks, &ending)
+        pipeline::follow(&plan, odometry, input, &watch, &ground, &hub, mapping, recorder, sinks, &ending)
     }
 }

@@ -14,22 +14,19 @@ use super::sinks::{LiveFrame, LiveSinks, PoseSink};
 use super::source::LiveInput;
 use crate::finish::{Ending, finish, give_warnings};
 use crate::folder::OutputFolder;
-use crate::found::{FoundLens, FoundMount};
 use crate::kept_frames::KeptFrames;
 use crate::mapping::Mapping;
 use crate::observer::Observer;
 use crate::outcome::RunOutcome;
 use crate::pipeline::{StageTimes, Tracked, is_made, number_as_source};
 use crate::plan::RunPlan;
+use crate::recalibrated_odometry::RecalibratedOdometry;
 use crate::statistics::LiveStatistics;
 use crate::views::{MosaicFrames, Posed};
-use odograph::camera::Rig;
 use odograph::error::{Error, Result};
 use odograph::geometry::{PlaneTransform, Sim2};
 use odograph::image::GrayImage;
-use odograph::mounting::OnlineCalibration;
-use odograph::odometry::{KeyframeEvent, Odometry, TrackView};
-use odograph::pose_frame::PoseFrames;
+use odograph::odometry::{KeyframeEvent, TrackView};
 use odograph::trajectory::FrameEstimate;
 use odograph_live::capture::{Captured, Newest, Policy, Taken, Watch};
 use odograph_live::foxglove::TrackedImage;
@@ -58,7 +55,7 @@ pub struct PipelineInput {
 /// Tracks a source until it ends or the run is asked to end, then writes everything.
 pub fn follow(
     plan: &RunPlan,
-    calibration: Option<OnlineCalibration>,
+    odometry: RecalibratedOdometry,
     PipelineInput { frames: opened, gnss }: PipelineInput,
     watch: &Watch,
     ground: &LiveGround,
@@ -69,13 +66,8 @@ pub fn follow(
     ending: &Ending<'_>,
 ) -> Result<RunOutcome> {
     let LiveSinks { poses, log } = sinks;
-    let mut odometry = plan.odometry()?;
-    odometry.record_keyframes();
     let mut following = Following {
         odometry,
-        calibration,
-        of: plan.pose_frame()?.into(),
-        recalibrated: Vec::new(),
         frames: KeptFrames::new(recorder.path()),
         times: StageTimes::default(),
         latencies: Latencies::default(),
@@ -174,12 +166,7 @@ struct PageImage {
 
 /// The tracking stage.
 struct Following<'a, 'p> {
-    odometry: Odometry,
-    calibration: Option<OnlineCalibration>,
-    /// The frame whose poses are written, published and shown.
-    of: PoseFrames,
-    /// The rig from a frame on, at each recalibration.
-    recalibrated: Vec<(u64, Rig)>,
+    odometry: RecalibratedOdometry,
     frames: KeptFrames,
     times: StageTimes,
     latencies: Latencies,
@@ -290,43 +277,34 @@ impl Following<'_, '_> {
         let Captured { frame, at } = captured;
         self.gnss.frame(at, frame.time_s);
         let begun = Instant::now();
-        let estimate = self.odometry.process(frame.gray.clone(), frame.time_s)?;
-        let estimate = FrameEstimate { frame: frame.number, ..estimate };
-        let mut events = self.odometry.take_keyframe_events();
-        if let Some(calibration) = &mut self.calibration
-            && calibration.watch(&estimate, &mut self.odometry)?
-        {
-            let (next, rig) = (frame.number + 1, calibration.rig());
-            self.of.recalibrate(next, &rig);
-            self.recalibrated.push((next, rig));
-        }
+        let (estimate, mut events) = self.odometry.process(&frame)?;
         let latency_ms = self.latencies.add(at.elapsed());
         self.times.decode.push(decoding);
         self.times.track.push(begun.elapsed());
-        let seen = self.of.frame(&estimate);
+        let seen = self.odometry.pose_frames.frame(&estimate);
         if let Some(poses) = &mut self.poses {
-            let of = self.of.at(frame.number);
+            let of = self.odometry.pose_frames.at(frame.number);
             let map_from_odometry = beside.map_from_odometry();
             poses.take(&LiveFrame { estimate: &seen, of, latency_ms, map_from_odometry })?;
         }
         self.observer.frame(&seen);
         self.recorder.record(&seen);
         if let Some(log) = self.log {
-            let tracks = || self.odometry.tracks().to_vec();
-            log.give(&seen, self.of.at(frame.number), latency_ms, || TrackedImage {
+            let tracks = || self.odometry.odometry.tracks().to_vec();
+            log.give(&seen, self.odometry.pose_frames.at(frame.number), latency_ms, || TrackedImage {
                 gray: frame.gray.clone(),
                 tracks: tracks(),
             });
         }
         let first_time_s = self.frames.first_time_s().unwrap_or(estimate.time_s);
-        let reference = self.odometry.reference();
+        let reference = self.odometry.odometry.reference();
         let keyframe = reference.map(|reference| reference.keyframe.0);
         // Without viewers the path need not be kept in memory.
         if self.shown {
             let record = TrackRecord::new(&seen, first_time_s, Some(latency_ms)).measured_against(keyframe);
             let record = self.hub.add_record(&record);
             if self.hub.viewers() > 0 {
-                let tracks = self.odometry.tracks().to_vec();
+                let tracks = self.odometry.odometry.tracks().to_vec();
                 beside.views.give(PageImage { record, gray: frame.gray.clone(), tracks });
             }
         }
@@ -337,7 +315,7 @@ impl Following<'_, '_> {
         number_as_source(&mut events, |index| self.frames.number_in_source(index));
         let is_keyframe = is_made(&events, frame.number);
         if self.shown && is_keyframe {
-            self.layers.show(&self.odometry, self.hub, &beside.map_from_odometry());
+            self.layers.show(&self.odometry.odometry, self.hub, &beside.map_from_odometry());
         }
         if !events.is_empty() {
             beside.mapping.give(Happened { events, frame: is_keyframe.then(|| frame.clone()) });
@@ -351,7 +329,7 @@ impl Following<'_, '_> {
     /// Distance since the previous frame, where both have connected poses, metres.
     fn step_m(&self, next: &FrameEstimate) -> f64 {
         let before = self.frames.last().filter(|before| before.segment == next.segment);
-        let before = before.map(|before| self.of.frame(before));
+        let before = before.map(|before| self.odometry.pose_frames.frame(before));
         match (before.as_ref().and_then(|before| before.estimate.as_ref()), &next.estimate) {
             (Some(a), Some(b)) => (b.pose.x_m - a.pose.x_m).hypot(b.pose.y_m - a.pose.y_m),
             _ => 0.0,
@@ -374,7 +352,7 @@ impl Following<'_, '_> {
             fps,
             latency_median_ms,
             latency_p99_ms,
-            keyframes: self.odometry.keyframes(),
+            keyframes: self.odometry.odometry.keyframes(),
             distance_m: self.distance_m,
             recording: self.recorder.is_recording(),
         });
@@ -392,18 +370,18 @@ impl Following<'_, '_> {
         failure: Option<Error>,
     ) -> (Tracked, OutputFolder) {
         let live = self.statistics(dropped);
-        let found = self.calibration.as_ref().and_then(OnlineCalibration::found);
+        let (mount, lens) = self.odometry.found(plan);
         let tracked = Tracked {
             marks: self.recorder.report_marks(),
-            recalibrated: self.recalibrated,
+            recalibrated: self.odometry.recalibrated.clone(),
             warnings,
             times: self.times,
             live: Some(live),
             failure,
             unmapped: self.unmapped,
-            mount: FoundMount::of(&plan.rig, found),
-            lens: FoundLens::of(&plan.camera, found),
-            ..Tracked::of(plan, &self.odometry, self.frames, views, mapping)
+            mount,
+            lens,
+            ..Tracked::of(plan, &self.odometry.odometry, self.frames, views, mapping)
         };
         (tracked, self.recorder.into_folder())
     }

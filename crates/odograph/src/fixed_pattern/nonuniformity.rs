@@ -71,6 +71,11 @@ impl NonuniformityCorrection {
         self.samples
     }
 
+    /// Whether as many images are behind it as the average remembers.
+    pub fn is_settled(&self) -> bool {
+        self.samples == MAX_SAMPLES
+    }
+
     /// Root mean square of the pattern, gray levels.
     pub fn rms_gray(&self) -> f64 {
         let squares: f64 = self.offsets.iter().map(|&offset| f64::from(offset).powi(2)).sum();
