@@ -62,11 +62,11 @@ fn pass(
     let mut references = Vec::new();
     for (time_s, image) in &clip.frames {
         // A decoder would hand over ownership of the image, so the copy is not timed.
-        let image = image.clone();
+        let own = image.clone();
         let begun = busy_ms();
-        let frame = odometry.process(image, *time_s)?;
+        let frame = odometry.process(own, *time_s)?;
         if let Some(online) = &mut online
-            && online.watch(&frame, &mut odometry)?
+            && online.watch(image, &frame, &mut odometry)?
         {
             followed.restarts += 1;
         }

@@ -44,7 +44,7 @@ impl RecalibratedOdometry {
         let estimate = FrameEstimate { frame: frame.number, ..estimate };
         let events = self.odometry.take_keyframe_events();
         if let Some(calibration) = &mut self.calibration
-            && calibration.watch(&estimate, &mut self.odometry)?
+            && calibration.watch(&frame.gray, &estimate, &mut self.odometry)?
         {
             let (next, rig) = (frame.number + 1, calibration.rig());
             self.pose_frames.recalibrate(next, &rig);

@@ -15,6 +15,7 @@ use std::collections::HashMap;
 
 /// Frames that are adjusted together, and tracks of each that are used.
 const FRAMES: usize = 40;
+const FIRST_FRAMES: [usize; 2] = [12, 24];
 const TRACKS: usize = 80;
 
 /// Fewer frames are not adjusted. Not derived; chosen.
@@ -93,11 +94,17 @@ impl ReadoutEstimation {
                 let is_later = self.frames.last().is_none_or(|last| last.time_s < frame.time_s);
                 let ends = !is_later && self.end_window();
                 self.frames.push(frame);
-                ends || (self.frames.len() == FRAMES && self.end_window())
+                ends || (self.frames.len() >= self.window_frames() && self.end_window())
             }
             Read::Repeated => false,
             Read::Gap => self.end_window(),
         }
+    }
+
+    /// Number of frames of the next window: the first ones are short, so that a live camera soon
+    /// has a readout time.
+    fn window_frames(&self) -> usize {
+        FIRST_FRAMES.get(self.windows).copied().unwrap_or(FRAMES)
     }
 
     /// Whether an adjustment is due with this window.
@@ -110,6 +117,7 @@ impl ReadoutEstimation {
         if self.best.as_ref().is_none_or(|(best_px2, _)| *best_px2 < sum_px2) {
             self.best = Some((sum_px2, frames));
         }
+        if std::env::var("DBG").is_ok() { eprintln!("window {} most {most_px:.2}", self.windows); }
         self.windows += 1;
         self.windows.is_power_of_two()
     }
@@ -117,8 +125,14 @@ impl ReadoutEstimation {
     /// Adjusts the best window. The readout time where it is known then.
     pub fn adjust(&mut self) -> Option<Readout> {
         let (_, frames) = self.best.take()?;
-        self.adjusted.extend(readout_of(&self.camera, &frames));
+        let t = std::time::Instant::now(); self.adjusted.extend(readout_of(&self.camera, &frames));
+        if std::env::var("DBG").is_ok() { eprintln!("from {:.3} n {} r {:.3?} ms, {:?}", frames[0].time_s, frames.len(), self.adjusted.iter().map(|(r, v)| (1e3 * r, 1e3 * v.sqrt())).collect::<Vec<_>>(), t.elapsed()); }
         self.known()
+    }
+
+    /// Number of frames of the best window.
+    pub fn frames_to_adjust(&self) -> usize {
+        self.best.as_ref().map_or(0, |(_, frames)| frames.len())
     }
 
     /// A copy that adjusts the best window, for another thread.

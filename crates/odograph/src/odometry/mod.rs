@@ -149,8 +149,13 @@ impl Odometry {
     pub fn new(camera: Camera, rig: Rig, config: OdometryConfig) -> Result<Self> {
         let first_pose = rig.validated()?.first_pose();
         let config = config.validated()?.for_camera(&camera);
+        Ok(Self::starting_at(first_pose, camera, config))
+    }
+
+    /// A pipeline with a configuration for this camera.
+    fn starting_at(first_pose: GroundPose, camera: Camera, config: OdometryConfig) -> Self {
         let fixed = FixedPattern::new((camera.width(), camera.height()));
-        Ok(Self {
+        Self {
             recovery: Recovery::new(&camera),
             config,
             first_pose,
@@ -182,7 +187,7 @@ impl Odometry {
             spare: None,
             events: None,
             reference: None,
-        })
+        }
     }
 
     /// Adds a mask: pixels darker than middle gray, in a picture of the size of the frames, are not

@@ -6,7 +6,9 @@ use super::learned::Learned;
 use super::recovery::Recovery;
 use crate::camera::{Camera, Rig};
 use crate::error::{Error, Result};
+use crate::fixed_pattern::FixedPattern;
 use crate::geometry::pose_index::ROLL;
+use crate::image::GrayImage;
 use crate::motion::PoseRates;
 use nalgebra::{Matrix2, Matrix6x2, Vector2};
 
@@ -55,6 +57,34 @@ impl Odometry {
         self.recovery = Recovery::new(&camera);
         self.camera = camera;
         Ok(())
+    }
+
+    /// Tracks the frames since the first keyframe again, with a camera that has become known: the
+    /// pose changes to what it would be had the camera been known from the beginning. Returns
+    /// whether it did; not where that would lose a frame or make another keyframe.
+    ///
+    /// # Errors
+    ///
+    /// As [`Odometry::process`].
+    pub fn track_again<'a>(
+        &mut self,
+        camera: &Camera,
+        frames: impl IntoIterator<Item = &'a (GrayImage, f64)>,
+    ) -> Result<bool> {
+        let mut again = Self::starting_at(self.first_pose, camera.clone(), self.config);
+        for (image, time_s) in frames {
+            let is_first = again.frames == 0;
+            let frame = again.process(image.clone(), *time_s)?;
+            if frame.estimate.is_none() || frame.keyframe != is_first {
+                return Ok(false);
+            }
+        }
+        again.frames = self.frames;
+        again.first_time_s = self.first_time_s;
+        again.fixed = std::mem::replace(&mut self.fixed, FixedPattern::new((0, 0)));
+        again.events = self.events.take();
+        *self = again;
+        Ok(true)
     }
 
     /// Adds the effect of the previous calibration on x, y and heading of the present keyframe to

@@ -4,6 +4,7 @@ use super::{CalibrationMonitor, CalibrationUpdate};
 use crate::camera::{Camera, Rig};
 use crate::continuous_time::ReadoutEstimation;
 use crate::error::Result;
+use crate::image::GrayImage;
 use crate::motion::{Readout, RigPriorEstimator};
 use crate::odometry::Odometry;
 use crate::trajectory::FrameEstimate;
@@ -25,6 +26,9 @@ pub struct OnlineCalibration {
     /// While the readout time is unknown.
     readout: Option<ReadoutEstimation>,
     adjusting: Option<Solving<(ReadoutEstimation, Option<Readout>)>>,
+    /// The first frame and the last ones, while the readout time is unknown and the first keyframe
+    /// is in use.
+    beginning: Option<Vec<(GrayImage, f64)>>,
 }
 
 /// An adjustment that is being solved.
@@ -53,8 +57,12 @@ fn next_frame<T>(solving: &mut Option<Solving<T>>, is_keyframe: bool) -> Option<
 /// Pairs of views that are solved within the time of one frame: a pair takes 2 to 4 ms.
 const PAIRS_PER_FRAME: usize = 4;
 
-/// Frames that the adjustment of the readout time may take: some 0.2 s.
-const READOUT_FRAMES: usize = 15;
+/// Frames of a window that are adjusted within the time of one frame: 40 take some 0.2 s.
+const WINDOW_FRAMES_PER_FRAME: usize = 3;
+
+/// Frames of the beginning that are kept, and their memory, bytes.
+const BEGINNING_FRAMES: usize = 32;
+const BEGINNING_BYTES: usize = 64 << 20;
 
 impl OnlineCalibration {
     /// Starts with the given calibration; the lens is kept if `lens_is_known`.
@@ -69,28 +77,37 @@ impl OnlineCalibration {
             found: None,
             readout: ReadoutEstimation::new(camera),
             adjusting: None,
+            beginning: camera.readout_s().is_none().then(Vec::new),
         }
     }
 
-    /// Takes the next frame, the result of [`Odometry::process`]. Returns whether the odometry was
-    /// recalibrated.
+    /// Takes the next frame, the result of [`Odometry::process`] for this image. Returns whether
+    /// the odometry was recalibrated.
     ///
     /// # Errors
     ///
     /// Where the odometry does not take the calibration; see [`Odometry::recalibrate`].
-    pub fn watch(&mut self, frame: &FrameEstimate, odometry: &mut Odometry) -> Result<bool> {
+    pub fn watch(
+        &mut self,
+        image: &GrayImage,
+        frame: &FrameEstimate,
+        odometry: &mut Odometry,
+    ) -> Result<bool> {
+        self.keep_beginning(image, frame.time_s, odometry);
         self.watch.collect(frame, odometry);
         let is_due = self.readout.as_mut().is_some_and(|readout| readout.collect(frame, odometry));
         if is_due && self.adjusting.is_none() {
+            let frames = self.readout.as_ref().map_or(0, ReadoutEstimation::frames_to_adjust);
             let copy = self.readout.as_mut().map(ReadoutEstimation::take_window);
             self.adjusting = copy.and_then(|mut copy| {
-                Solving::begin(READOUT_FRAMES, move || {
+                Solving::begin(frames.div_ceil(WINDOW_FRAMES_PER_FRAME), move || {
                     let found = copy.adjust();
                     (copy, found)
                 })
             });
         }
-        if let Some((readout, found)) = next_frame(&mut self.adjusting, frame.keyframe) {
+        let may_begin_again = self.beginning.is_some();
+        if let Some((readout, found)) = next_frame(&mut self.adjusting, frame.keyframe || may_begin_again) {
             return self.take_readout(readout, found, odometry);
         }
         if self.solving.is_none() && self.watch.is_due() {
@@ -102,6 +119,20 @@ impl OnlineCalibration {
             return self.take(found, odometry);
         }
         Ok(false)
+    }
+
+    /// Keeps the first frame and the last ones, as long as the first keyframe is in use.
+    fn keep_beginning(&mut self, image: &GrayImage, time_s: f64, odometry: &Odometry) {
+        let is_first = self.readout.is_some() && odometry.keyframes() == 1;
+        let Some(frames) = self.beginning.as_mut().filter(|_| is_first) else {
+            self.beginning = None;
+            return;
+        };
+        let most = BEGINNING_FRAMES.min(BEGINNING_BYTES / image.samples().len().max(1));
+        if frames.len() >= most.max(2) {
+            frames.remove(1);
+        }
+        frames.push((image.clone(), time_s));
     }
 
     fn take(&mut self, found: CalibrationUpdate, odometry: &mut Odometry) -> Result<bool> {
@@ -138,6 +169,10 @@ impl OnlineCalibration {
             let present = self.found.as_ref().map_or_else(|| camera.clone(), |found| found.camera(&camera));
             odometry.recalibrate(present, None)?;
             (self.given, self.readout) = ((camera, rig), None);
+        } else if let Some(frames) = self.beginning.take()
+            && odometry.track_again(&camera, &frames)?
+        {
+            *self = Self::new(&camera, &rig, self.lens_is_known);
         } else {
             let had_tilt = self.found().is_some_and(|found| found.tilt.is_some());
             let mount = had_tilt.then(RigPriorEstimator::unknown_mount_tilt);
