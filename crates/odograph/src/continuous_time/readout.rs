@@ -15,7 +15,10 @@ use std::collections::HashMap;
 
 /// Frames that are adjusted together, and tracks of each that are used.
 const FRAMES: usize = 40;
-const FIRST_FRAMES: [usize; 2] = [12, 24];
+
+/// Frames of the first windows of a live camera.
+const LIVE_FRAMES: [usize; 2] = [12, 24];
+
 const TRACKS: usize = 80;
 
 /// Fewer frames are not adjusted. Not derived; chosen.
@@ -57,6 +60,7 @@ const GLOBAL_WITHIN_S: f64 = 1e-3;
 #[derive(Debug, Clone)]
 pub struct ReadoutEstimation {
     camera: Camera,
+    is_live: bool,
     reader: FrameReader,
     frames: Vec<WindowFrame>,
     /// The window that shows most among those since the last adjustment, and how much.
@@ -72,12 +76,18 @@ impl ReadoutEstimation {
     pub fn new(camera: &Camera) -> Option<Self> {
         camera.readout_s().is_none().then(|| Self {
             camera: camera.clone(),
+            is_live: false,
             reader: FrameReader::new(TRACKS),
             frames: Vec::new(),
             best: None,
             windows: 0,
             adjusted: Vec::new(),
         })
+    }
+
+    /// The same with short windows at first, which show less, and show it sooner.
+    pub fn live(self) -> Self {
+        Self { is_live: true, ..self }
     }
 
     /// Takes the next frame, the result of [`Odometry::process`], and its tracks. The readout time
@@ -101,10 +111,9 @@ impl ReadoutEstimation {
         }
     }
 
-    /// Number of frames of the next window: the first ones are short, so that a live camera soon
-    /// has a readout time.
+    /// Number of frames of the next window.
     fn window_frames(&self) -> usize {
-        FIRST_FRAMES.get(self.windows).copied().unwrap_or(FRAMES)
+        LIVE_FRAMES.get(self.windows).filter(|_| self.is_live).copied().unwrap_or(FRAMES)
     }
 
     /// Whether an adjustment is due with this window.
@@ -117,7 +126,6 @@ impl ReadoutEstimation {
         if self.best.as_ref().is_none_or(|(best_px2, _)| *best_px2 < sum_px2) {
             self.best = Some((sum_px2, frames));
         }
-        if std::env::var("DBG").is_ok() { eprintln!("window {} most {most_px:.2}", self.windows); }
         self.windows += 1;
         self.windows.is_power_of_two()
     }
@@ -125,8 +133,7 @@ impl ReadoutEstimation {
     /// Adjusts the best window. The readout time where it is known then.
     pub fn adjust(&mut self) -> Option<Readout> {
         let (_, frames) = self.best.take()?;
-        let t = std::time::Instant::now(); self.adjusted.extend(readout_of(&self.camera, &frames));
-        if std::env::var("DBG").is_ok() { eprintln!("from {:.3} n {} r {:.3?} ms, {:?}", frames[0].time_s, frames.len(), self.adjusted.iter().map(|(r, v)| (1e3 * r, 1e3 * v.sqrt())).collect::<Vec<_>>(), t.elapsed()); }
+        self.adjusted.extend(readout_of(&self.camera, &frames));
         self.known()
     }
 

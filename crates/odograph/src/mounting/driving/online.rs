@@ -75,7 +75,7 @@ impl OnlineCalibration {
             lens_is_known,
             solving: None,
             found: None,
-            readout: ReadoutEstimation::new(camera),
+            readout: ReadoutEstimation::new(camera).map(ReadoutEstimation::live),
             adjusting: None,
             beginning: camera.readout_s().is_none().then(Vec::new),
         }

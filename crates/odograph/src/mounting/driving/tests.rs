@@ -419,8 +419,8 @@ fn a_live_run_is_recalibrated_and_its_covariance_covers_what_was_before() {
     let mut calibration = OnlineCalibration::new(camera, &level, false);
     let mut since = None;
     for frame in simulation.frames() {
-        let estimate = odometry.process(frame.image, frame.time_s).unwrap();
-        let is_recalibrated = calibration.watch(&estimate, &mut odometry).unwrap();
+        let estimate = odometry.process(frame.image.clone(), frame.time_s).unwrap();
+        let is_recalibrated = calibration.watch(&frame.image, &estimate, &mut odometry).unwrap();
         let known = estimate.estimate.expect("tracked");
         let (pose, truth) = (known.pose, frame.truth);
         if is_recalibrated && since.is_none() {

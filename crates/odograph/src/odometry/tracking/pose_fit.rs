@@ -79,9 +79,9 @@ impl PoseFit<'_> {
         // A wrong lens is like curved ground, but leaves residuals on known ground, too.
         let was_exact = learned.usual_residual_px().is_some_and(|usual_px| usual_px < EXACT_PX);
         let may_rise = is_flat && was_exact && keyframe.may_leave_plane();
+        let highest_m2 = (MAX_KERB_HEIGHT * keyframe.pose.height_m).powi(2);
         if may_rise && (is_poor || new_ground_disagrees(keyframe, self.found, flat.as_ref())) {
-            let highest_m = MAX_KERB_HEIGHT * keyframe.pose.height_m;
-            let raised = GroundHypothesis { new_ground_m2: highest_m * highest_m, ..known };
+            let raised = GroundHypothesis { new_ground_m2: highest_m2, ..known };
             let raised = self.fit_if_better(raised, Unevenness::NewGround, &flat);
             if raised.is_some() {
                 return raised;
@@ -89,10 +89,15 @@ impl PoseFit<'_> {
         }
         // A skew that is not known would pass for relief.
         if is_flat && is_poor && learned.may_see_skew() {
-            let rough = GroundHypothesis { relief_m2: learned.least_relief_m2(), ..known };
-            let rough = self.fit_if_better(rough, Unevenness::Relief, &flat);
-            if rough.is_some() {
-                return rough;
+            let rough = |relief_m2| GroundHypothesis { relief_m2, ..known };
+            let low = self.fit_if_better(rough(learned.least_relief_m2()), Unevenness::Relief, &flat);
+            if low.is_some() {
+                return low;
+            }
+            // Elevations of any size would explain a wrong lens, too, but not down to the noise.
+            let high = self.fit_if_better(rough(highest_m2), Unevenness::Relief, &flat);
+            if high.as_ref().is_some_and(is_noise) {
+                return high;
             }
             // A camera that is carried freely looks at its first ground with a tilt that no rig
             // states.
