@@ -45,6 +45,9 @@ const LEARNED_EVERY: u64 = 2;
 const STANDS_PX: f64 = 2.0;
 const MOVES_PX: f64 = 6.0;
 
+/// Largest turn in an interval, radians: 75°/s at 30 frames/s.
+const MOST_TURN_RAD: f64 = 0.35;
+
 /// Least score of the registration of two differences, of which chance reaches eight, and the part
 /// of the view that must move alike, and at the same time stay alike. Where a person walks by, no
 /// part does both.
@@ -195,18 +198,21 @@ impl Odometry {
         let registration = self.recovery.registration();
         let view = |image| registration.view(&Pyramid::new(image, self.config.flow.levels), None, &from);
         let moves = |before: GroundView, now: GroundView| {
-            let options = CoarseOptions { heading_rad: (0.0, 0.0), scale_free: false, hypotheses: 1 };
+            let options =
+                CoarseOptions { heading_rad: (0.0, MOST_TURN_RAD), scale_free: false, hypotheses: 1 };
             registration.register(&before, &now, &options).first().is_some_and(|found| {
                 found.score > LEAST_SCORE
                     && found.agreement > LEAST_AGREEMENT
                     && moves_px(&from, &found.pose(&from, &from)) > MOVES_PX
             })
         };
-        let stays =
-            |before: GroundView, now: GroundView| registration.static_share(&before, &now) > LEAST_AGREEMENT;
+        let stays = || {
+            let views = view(second.clone()).zip(view(image.clone()));
+            let share = views.map(|(before, now)| registration.static_share(&before, &now));
+            self.fixed.is_everywhere() || share.is_some_and(|share| share > LEAST_AGREEMENT)
+        };
         let is_below_a_pattern =
-            view(difference(second, first)).zip(view(change)).is_some_and(|(a, b)| moves(a, b))
-                && view(second.clone()).zip(view(image.clone())).is_some_and(|(a, b)| stays(a, b));
+            view(difference(second, first)).zip(view(change)).is_some_and(|(a, b)| moves(a, b)) && stays();
         if is_below_a_pattern { MotionBelow::NotFollowed } else { MotionBelow::Unclear }
     }
 
