@@ -37,6 +37,7 @@ pub fn assume(plan: &mut RunPlan, calibration: &MultiPassCalibration) {
     plan.camera = calibration.camera.clone();
     plan.rig = calibration.rig;
     plan.correction = calibration.correction.clone();
+    plan.fixed.clone_from(&calibration.fixed);
     plan.motion.clone_from(&calibration.motion);
 }
 

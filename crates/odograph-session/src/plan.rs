@@ -5,7 +5,7 @@ use crate::sensors::SensorFiles;
 use crate::{files, mask};
 use odograph::camera::{Camera, LeverArm, Rig};
 use odograph::error::{Error, Result};
-use odograph::fixed_pattern::NonuniformityCorrection;
+use odograph::fixed_pattern::{ImageMask, NonuniformityCorrection};
 use odograph::formats::rig_file;
 use odograph::loop_closure::LoopClosureConfig;
 use odograph::motion::MeasuredMotion;
@@ -47,6 +47,10 @@ pub struct RunPlan {
     /// Fixed-pattern noise of the camera, where an earlier pass over the same frames found some.
     #[serde(skip)]
     pub correction: Option<NonuniformityCorrection>,
+    /// What of the view does not move with the ground, where an earlier pass over the same frames
+    /// found much of it.
+    #[serde(skip)]
+    pub fixed: Option<Arc<ImageMask>>,
     /// The motion within the images, where an earlier pass over the same frames has measured it.
     #[serde(skip)]
     pub motion: Option<Arc<MeasuredMotion>>,
@@ -212,10 +216,13 @@ impl RunPlan {
         if let Some(motion) = &self.motion {
             odometry = odometry.with_motion(Arc::clone(motion));
         }
-        match &self.mask {
-            Some(path) => odometry.with_mask(&mask::read(path)?).map_err(|error| error.at(path.display())),
-            None => Ok(odometry),
+        if let Some(path) = &self.mask {
+            odometry = odometry.with_mask(&mask::read(path)?).map_err(|error| error.at(path.display()))?;
         }
+        Ok(match &self.fixed {
+            Some(fixed) => odometry.with_fixed(fixed),
+            None => odometry,
+        })
     }
 
     /// Reads the `run.toml` of an earlier run; paths in it are brought into the working directory.

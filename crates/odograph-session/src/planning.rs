@@ -62,6 +62,7 @@ impl RunBuilder {
             frame: self.frame.or(rig.lever_arm.map(|_| FrameChoice::BaseLink)),
             antenna: self.antenna()?,
             correction: None,
+            fixed: None,
             motion: None,
             mask: self.mask.clone(),
             markers: self.markers.clone(),

@@ -230,6 +230,7 @@ fn why_again(camera: &MultiPassCalibration) -> String {
     match camera.found_readout() {
         _ if camera.motion.is_some() => "again, with the motion within the images as measured".to_owned(),
         Some(readout) if readout.mean_s == 0.0 => "again, with a global shutter".to_owned(),
+        None if camera.fixed.is_some() => "again, without what moves along with the camera".to_owned(),
         _ => "again, with the camera as found".to_owned(),
     }
 }

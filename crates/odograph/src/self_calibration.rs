@@ -1,13 +1,13 @@
 //! Multi-pass self-calibration of a recording: tracked again from its first frame whenever mount
 //! or lens prove to differ from what was assumed, the readout time becomes known, or the camera
-//! proves to add a fixed pattern to its images.
+//! proves to add a fixed pattern to its images or to see something that moves along with it.
 //!
 //! A live camera cannot be tracked again; [`crate::mounting::OnlineCalibration`] is for it.
 
 use crate::camera::{Camera, Rig};
 use crate::continuous_time::{MotionMeasurement, MotionWithinImages, ReadoutEstimation};
 use crate::error::Result;
-use crate::fixed_pattern::NonuniformityCorrection;
+use crate::fixed_pattern::{ImageMask, NonuniformityCorrection};
 use crate::motion::{MeasuredMotion, Readout};
 use crate::mounting::{CalibrationMonitor, CalibrationUpdate};
 use crate::odometry::{Odometry, OdometryConfig};
@@ -23,6 +23,8 @@ pub enum CameraDifference {
     Readout(Readout),
     /// It adds a fixed pattern to its images.
     FixedPattern(NonuniformityCorrection),
+    /// A large part of its view does not move with the ground.
+    FixedInView(Arc<ImageMask>),
     /// Its motion within the images, which the pass had to predict, is measured.
     Motion(MotionWithinImages),
 }
@@ -45,13 +47,16 @@ pub struct MultiPassCalibration {
     pub rig: Rig,
     /// Correction of its fixed-pattern noise, if an earlier pass found some.
     pub correction: Option<NonuniformityCorrection>,
+    /// What of the view does not move with the ground, if an earlier pass found much of it.
+    pub fixed: Option<Arc<ImageMask>>,
     /// The motion within the images of a rolling shutter, once a pass has measured it.
     pub motion: Option<Arc<MeasuredMotion>>,
     /// Whether another mount or lens ends a pass.
     pub calibrates: bool,
     /// Whether a readout time that becomes known, or the motion within the images, ends a pass.
     pub measures_shutter: bool,
-    /// Whether a fixed pattern that is not corrected yet ends a pass.
+    /// Whether a fixed pattern that is not corrected yet, or a large part of the view that is
+    /// static, ends a pass.
     pub corrects_pattern: bool,
     /// Whether the lens is known and not estimated.
     pub lens_is_known: bool,
@@ -69,6 +74,7 @@ impl MultiPassCalibration {
             camera,
             rig,
             correction: None,
+            fixed: None,
             motion: None,
             calibrates: false,
             measures_shutter: false,
@@ -102,6 +108,7 @@ impl MultiPassCalibration {
         CameraMonitor {
             calibration,
             pattern: self.corrects_pattern && self.correction.is_none(),
+            view: self.corrects_pattern && self.correction.is_none() && self.fixed.is_none(),
             readout: self.measures_shutter.then(|| ReadoutEstimation::new(&self.camera)).flatten(),
             motion: (self.measures_shutter && self.motion.is_none())
                 .then(|| MotionMeasurement::new(&self.camera, self.readout_deviation_s()))
@@ -114,6 +121,9 @@ impl MultiPassCalibration {
         let mut odometry = Odometry::new(self.camera.clone(), self.rig, config)?;
         if let Some(correction) = &self.correction {
             odometry = odometry.with_correction(correction.clone());
+        }
+        if let Some(fixed) = &self.fixed {
+            odometry = odometry.with_fixed(fixed);
         }
         if let Some(motion) = &self.motion {
             odometry = odometry.with_motion(Arc::clone(motion));
@@ -139,7 +149,10 @@ impl MultiPassCalibration {
             CameraDifference::Calibration(found) => {
                 self.assume(*found);
             }
-            CameraDifference::FixedPattern(pattern) => self.correction = Some(pattern),
+            CameraDifference::FixedPattern(pattern) => {
+                (self.correction, self.fixed) = (Some(pattern), None);
+            }
+            CameraDifference::FixedInView(mask) => self.fixed = Some(mask),
             CameraDifference::Motion(MotionWithinImages { motion, readout }) => {
                 self.motion = Some(Arc::new(motion));
                 if let Some(Readout { mean_s, variance_s2 }) = readout {
@@ -183,6 +196,7 @@ const FOUND_READOUT_S: f64 = 5e-3;
 pub struct CameraMonitor {
     calibration: Option<CalibrationMonitor>,
     pattern: bool,
+    view: bool,
     readout: Option<ReadoutEstimation>,
     motion: Option<MotionMeasurement>,
 }
@@ -194,6 +208,9 @@ impl CameraMonitor {
         if let Some(pattern) = odometry.correction().filter(|_| self.pattern) {
             // What the other monitors would see comes from frames before the correction, too.
             return pattern.is_settled().then(|| CameraDifference::FixedPattern(pattern.clone()));
+        }
+        if let Some(mask) = odometry.fixed_in_image().settled_mask().filter(|_| self.view) {
+            return Some(CameraDifference::FixedInView(Arc::clone(mask)));
         }
         self.motion.iter_mut().for_each(|motion| motion.watch(frame, odometry));
         if let Some(found) = self.readout.as_mut().and_then(|readout| readout.watch(frame, odometry)) {

@@ -39,6 +39,9 @@ pub struct FixedPattern {
     size: (usize, usize),
     /// Mask given by the user.
     given: Option<ImageMask>,
+    /// Mask found in an earlier pass over the same images, with what is given: it applies until
+    /// this pass is sure of its own.
+    known: Option<Arc<ImageMask>>,
     mask: Option<Arc<ImageMask>>,
     images: u64,
     last: Cells,
@@ -94,6 +97,7 @@ impl FixedPattern {
         Self {
             size,
             given: None,
+            known: None,
             mask: None,
             images: 0,
             last: Cells::new(size),
@@ -112,6 +116,26 @@ impl FixedPattern {
         self.mask = (!given.is_empty()).then(|| Arc::new(given.clone()));
         self.given = Some(given);
         self
+    }
+
+    /// Begins with the mask that an earlier pass over the same images has found.
+    pub fn with_known(mut self, found: &ImageMask) -> Self {
+        let known = match &self.given {
+            Some(given) => found.union(given),
+            None => found.clone(),
+        };
+        let known = Arc::new(known);
+        self.mask = Some(Arc::clone(&known));
+        self.known = Some(known);
+        self
+    }
+
+    /// The mask, where a later pass over the same images should begin with it: a large one that
+    /// does not change any more.
+    pub fn settled_mask(&self) -> Option<&Arc<ImageMask>> {
+        let is_settled = self.statistics.added() >= SETTLED_SAMPLES && !self.is_everywhere;
+        let given = self.given.as_ref().map_or(0.0, ImageMask::share);
+        self.mask.as_ref().filter(|mask| is_settled && mask.share() > given + LARGE)
     }
 
     /// Forgets what was found: from now on the images look otherwise. What was given is kept.
@@ -194,7 +218,8 @@ impl FixedPattern {
             *lasting = *now && (large || *before && sure);
         }
         self.before.copy_from_slice(found);
-        let given = self.given.as_ref();
+        let known = self.known.as_deref().filter(|_| !sure);
+        let given = known.or(self.given.as_ref());
         if !self.lasting.contains(&true) && given.is_none_or(ImageMask::is_empty) {
             self.mask = None;
             return;

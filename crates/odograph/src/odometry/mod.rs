@@ -224,6 +224,11 @@ impl Odometry {
         self
     }
 
+    /// Begins with the mask of what is static in the images, as an earlier pass has found it.
+    pub fn with_fixed(self, mask: &ImageMask) -> Self {
+        Self { fixed: self.fixed.with_known(mask), ..self }
+    }
+
     /// Takes the motion within the images as an earlier pass has measured it.
     pub fn with_motion(self, motion: Arc<MeasuredMotion>) -> Self {
         Self { motion, ..self }
