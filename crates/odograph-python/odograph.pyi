@@ -104,8 +104,9 @@ class Rig:
 class Odometry:
     """Visual odometry, one image after the other.
 
-    The mount is height (metres, looking straight down) or rig. Loops are not closed here, and a
-    wrong tilt or lens is not sought: run does that.
+    The mount is height (metres, looking straight down) or rig. Loops are not closed here: run does
+    that. With "auto", the shutter's readout time, the tilt and the lens are found on the way, as by
+    a live run; the pose may change a little where the readout time becomes known.
     """
 
     def __init__(

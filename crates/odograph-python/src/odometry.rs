@@ -6,6 +6,7 @@ use crate::error::{Failure, Result};
 use crate::pixels::Pixels;
 use numpy::ndarray::{Array1, Array2};
 use numpy::{IntoPyArray, PyArray1};
+use odograph_core::mounting::OnlineCalibration;
 use odograph_core::odometry::{Odometry, OdometryConfig, TrackView};
 use odograph_core::trajectory::{FrameEstimate, PoseEstimate};
 use odograph_core::{GroundPose, MotionModel};
@@ -37,12 +38,20 @@ pub fn motion(name: &str) -> Result<MotionModel> {
 /// "free" (height and tilt change) or "mean" (the mean vector, for comparison). mask is an image of
 /// the camera's size, black where there is no ground.
 ///
-/// Loops are not closed here, and a wrong tilt or lens is not sought: run does that.
+/// Loops are not closed here: run does that. With "auto", the shutter's readout time, the tilt and
+/// the lens are found on the way, as by a live run; the pose may change a little where the readout
+/// time becomes known.
 #[pyclass(name = "Odometry", frozen, module = "odograph")]
-pub struct PyOdometry(Mutex<Odometry>);
+pub struct PyOdometry(Mutex<Tracker>);
+
+/// An odometry and, where height and tilt are what the mount says, its calibration on the way.
+struct Tracker {
+    odometry: Odometry,
+    calibration: Option<OnlineCalibration>,
+}
 
 impl PyOdometry {
-    fn held(&self) -> MutexGuard<'_, Odometry> {
+    fn held(&self) -> MutexGuard<'_, Tracker> {
         self.0.lock().unwrap_or_else(PoisonError::into_inner)
     }
 }
@@ -66,12 +75,15 @@ impl PyOdometry {
         })?;
         let mut config = OdometryConfig::default();
         config.motion.model = self::motion(motion)?;
-        let odometry = Odometry::new(camera.read()?, rig, config)?;
+        let camera = camera.read()?;
+        let calibration =
+            (config.motion.model == MotionModel::Auto).then(|| OnlineCalibration::new(&camera, &rig, false));
+        let odometry = Odometry::new(camera, rig, config)?;
         let odometry = match mask {
             Some(picture) => odometry.with_mask(&Pixels::read(picture)?.gray()?)?,
             None => odometry,
         };
-        Ok(Self(Mutex::new(odometry)))
+        Ok(Self(Mutex::new(Tracker { odometry, calibration })))
     }
 
     /// The estimate of the next frame: an image of the camera's size, uint8, H×W (gray) or H×W×3
@@ -81,16 +93,21 @@ impl PyOdometry {
         let pixels = Pixels::read(image)?;
         Ok(py.detach(|| {
             let image = pixels.gray()?;
-            let mut odometry = self.held();
-            let estimate = odometry.process(image, t)?;
-            odograph_core::Result::Ok(PyFrame { estimate, tracks: odometry.tracks().to_vec() })
+            let mut tracker = self.held();
+            let Tracker { odometry, calibration } = &mut *tracker;
+            let estimate = odometry.process(image.clone(), t)?;
+            let tracks = odometry.tracks().to_vec();
+            if let Some(calibration) = calibration {
+                calibration.watch(&image, &estimate, odometry)?;
+            }
+            odograph_core::Result::Ok(PyFrame { estimate, tracks })
         })?)
     }
 
     /// Number of keyframes so far.
     #[getter]
     fn keyframes(&self, py: Python<'_>) -> u64 {
-        py.detach(|| self.held().keyframes())
+        py.detach(|| self.held().odometry.keyframes())
     }
 
     fn __repr__(&self, py: Python<'_>) -> String {

@@ -110,3 +110,22 @@ fn a_given_mask_is_dilated_by_the_patch_radius() {
     assert!(!mask.covers(5, 80) && !mask.covers(5, 130));
     assert_eq!(fixed.picture().row(105)[7], 0);
 }
+
+#[test]
+fn a_known_mask_applies_until_the_own_one_is_sure() {
+    let with_bumper_driving: Vec<GrayImage> =
+        images("concrete", drive(30)).into_iter().map(with_bumper).collect();
+    let found = learned(with_bumper_driving.clone());
+    let mask = found.settled_mask().expect("a quarter of the image").clone();
+    let mut again = FixedPattern::new((320, 240)).with_known(&mask);
+    for (number, image) in with_bumper_driving.iter().enumerate() {
+        assert!(again.share() > 0.2, "image {number}");
+        again.look(image);
+    }
+    // Where nothing is fixed it is forgotten.
+    let mut without = FixedPattern::new((320, 240)).with_known(&mask);
+    images("concrete", drive(300)).iter().for_each(|image| {
+        without.look(image);
+    });
+    assert_eq!(without.share(), 0.0);
+}

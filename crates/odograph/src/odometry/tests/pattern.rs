@@ -68,3 +68,14 @@ fn a_standing_camera_learns_no_pattern() {
     process(&mut odometry, images);
     assert!(odometry.correction().is_none());
 }
+
+#[test]
+fn the_pattern_is_found_where_the_ground_turns_below_it() {
+    let world = World::new("concrete");
+    // 54°/s.
+    let pose = |number: usize| at(0.012 * number as f64, 0.0, 0.0315 * number as f64);
+    let images = (0..70).map(|number| behind_a_dirty_window(world.image(pose(number), number as u64), 20));
+    let mut odometry = world.odometry();
+    process(&mut odometry, images);
+    assert!(odometry.correction().is_some());
+}
