@@ -79,7 +79,8 @@ impl Odometry {
                 return Ok(false);
             }
         }
-        again.frames = self.frames;
+        // Later keyframes than the first stay in the map, and have had their numbers.
+        (again.frames, again.keyframes) = (self.frames, self.keyframes);
         again.first_time_s = self.first_time_s;
         again.fixed = std::mem::replace(&mut self.fixed, FixedPattern::new((0, 0)));
         again.events = self.events.take();

@@ -26,8 +26,8 @@ pub struct OnlineCalibration {
     /// While the readout time is unknown.
     readout: Option<ReadoutEstimation>,
     adjusting: Option<Solving<(ReadoutEstimation, Option<Readout>)>>,
-    /// The first frame and the last ones, while the readout time is unknown and the first keyframe
-    /// is in use.
+    /// The first frame and the last ones, while the readout time is unknown and few keyframes were
+    /// made.
     beginning: Option<Vec<(GrayImage, f64)>>,
 }
 
@@ -63,6 +63,9 @@ const WINDOW_FRAMES_PER_FRAME: usize = 3;
 /// Frames of the beginning that are kept, and their memory, bytes.
 const BEGINNING_FRAMES: usize = 32;
 const BEGINNING_BYTES: usize = 64 << 20;
+
+/// Keyframes in that time, at most: poor fits of skewed images make some too early.
+const BEGINNING_KEYFRAMES: u64 = 4;
 
 impl OnlineCalibration {
     /// Starts with the given calibration; the lens is kept if `lens_is_known`.
@@ -121,10 +124,10 @@ impl OnlineCalibration {
         Ok(false)
     }
 
-    /// Keeps the first frame and the last ones, as long as the first keyframe is in use.
+    /// Keeps the first frame and the last ones, as long as few keyframes were made.
     fn keep_beginning(&mut self, image: &GrayImage, time_s: f64, odometry: &Odometry) {
-        let is_first = self.readout.is_some() && odometry.keyframes() == 1;
-        let Some(frames) = self.beginning.as_mut().filter(|_| is_first) else {
+        let may_be_again = self.readout.is_some() && odometry.keyframes() <= BEGINNING_KEYFRAMES;
+        let Some(frames) = self.beginning.as_mut().filter(|_| may_be_again) else {
             self.beginning = None;
             return;
         };
