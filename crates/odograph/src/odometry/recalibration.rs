@@ -61,7 +61,8 @@ impl Odometry {
 
     /// Tracks the frames since the first keyframe again, with a camera that has become known: the
     /// pose changes to what it would be had the camera been known from the beginning. Returns
-    /// whether it did; not where that would lose a frame or make another keyframe.
+    /// whether it did; not where that would lose a frame or make another keyframe, or where more
+    /// than the camera was learned since.
     ///
     /// # Errors
     ///
@@ -71,7 +72,13 @@ impl Odometry {
         camera: &Camera,
         frames: impl IntoIterator<Item = &'a (GrayImage, f64)>,
     ) -> Result<bool> {
+        if self.segment > 0 || self.correction().is_some() {
+            return Ok(false);
+        }
         let mut again = Self::starting_at(self.first_pose, camera.clone(), self.config);
+        if let Some(mask) = self.fixed.mask() {
+            again = again.with_fixed(mask);
+        }
         for (image, time_s) in frames {
             let is_first = again.frames == 0;
             let frame = again.process(image.clone(), *time_s)?;
