@@ -128,7 +128,7 @@ pub fn track(
     folder: &mut OutputFolder,
     output: &RunOutput,
     reporter: Option<&dyn RunReporter>,
-    odometry: RecalibratedOdometry,
+    tracker: RecalibratedOdometry,
     monitor: CameraMonitor,
     observer: &dyn Observer,
 ) -> Result<PassEnd<Tracked>> {
@@ -137,7 +137,7 @@ pub fn track(
     let video = output.video.as_ref().map(|path| begin_video(path, &plan.camera, reporter)).transpose()?;
     let mut tracking = TrackingStage {
         shows: video.is_some(),
-        odometry,
+        tracker,
         frames: KeptFrames::new(folder.path()),
         times: Timings::default(),
         calibration_times: Timings::default(),
@@ -163,13 +163,13 @@ pub fn track(
         threads => side_by_side(&mut decoding, &mut tracking, &mut ground, threads, queue(&plan.camera)),
     };
     let to_the_end = outcome.is_ok() && tracking.difference.is_none() && !observer.is_stop_asked();
-    let at_end = if to_the_end { tracking.monitor.at_end(&tracking.odometry.odometry) } else { None };
+    let at_end = if to_the_end { tracking.monitor.at_end(&tracking.tracker.odometry) } else { None };
     if let Some(difference) = tracking.difference.or(at_end) {
         ground.mapping.discard()?;
         return Ok(PassEnd::Differs(difference));
     }
     observer.tracking_ends();
-    let (mount, lens) = tracking.odometry.found(plan);
+    let (mount, lens) = tracking.tracker.found(plan);
     let MappingStage { views, mapping, video, unmapped, times: map_times, .. } = ground;
     // An interrupt after the last frame changes no result.
     let interrupted = observer.is_stop_asked() && announced != Some(tracking.frames.count() as u64);
@@ -188,8 +188,8 @@ pub fn track(
         video: video.map(OverlayVideo::finish),
         mount,
         lens,
-        recalibrated: std::mem::take(&mut tracking.odometry.recalibrated),
-        ..Tracked::of(plan, &tracking.odometry.odometry, tracking.frames, views, mapping)
+        recalibrated: std::mem::take(&mut tracking.tracker.recalibrated),
+        ..Tracked::of(plan, &tracking.tracker.odometry, tracking.frames, views, mapping)
     }))
 }
 
@@ -293,7 +293,7 @@ impl DecodingStage<'_> {
 struct TrackingStage<'a> {
     /// Whether the frames are drawn for a video.
     shows: bool,
-    odometry: RecalibratedOdometry,
+    tracker: RecalibratedOdometry,
     frames: KeptFrames,
     times: Timings,
     calibration_times: Timings,
@@ -325,15 +325,15 @@ impl TrackingStage<'_> {
     /// `None` once it is certain that the camera is different.
     fn next(&mut self, frame: Frame) -> Result<Option<TrackedFrame>> {
         let started = Instant::now();
-        let (estimate, mut events) = self.odometry.process(&frame)?;
+        let (estimate, mut events) = self.tracker.process(&frame)?;
         self.times.push(started.elapsed());
         let started = Instant::now();
-        self.difference = self.monitor.watch(&estimate, &self.odometry.odometry);
+        self.difference = self.monitor.watch(&estimate, &self.tracker.odometry);
         if self.difference.is_some() {
             return Ok(None);
         }
         self.calibration_times.push(started.elapsed());
-        let seen = self.odometry.pose_frames.frame(&estimate);
+        let seen = self.tracker.pose_frames.frame(&estimate);
         self.folder.record(&seen)?;
         self.observer.frame(&seen);
         let shown = self.shows.then(|| {
@@ -341,12 +341,12 @@ impl TrackingStage<'_> {
                 image: frame.clone(),
                 camera: estimate.clone(),
                 written: seen.into_owned(),
-                tracks: self.odometry.odometry.tracks().to_vec(),
+                tracks: self.tracker.odometry.tracks().to_vec(),
             })
         });
         let pose = estimate.ground_pose();
         let segment = estimate.segment;
-        self.frames.push(estimate, self.odometry.odometry.reference());
+        self.frames.push(estimate, self.tracker.odometry.reference());
         number_as_source(&mut events, |index| self.frames.number_in_source(index));
         let is_keyframe = is_made(&events, frame.number);
         let posed = pose.map(|pose| Posed { frame, pose, segment, is_keyframe });

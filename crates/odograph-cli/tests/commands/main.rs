@@ -22,6 +22,7 @@ mod markers;
 mod overlay_video;
 mod pages;
 mod pattern;
+mod piped;
 mod profile;
 mod program;
 mod recordings;

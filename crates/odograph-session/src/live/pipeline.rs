@@ -55,7 +55,7 @@ pub struct PipelineInput {
 /// Tracks a source until it ends or the run is asked to end, then writes everything.
 pub fn follow(
     plan: &RunPlan,
-    odometry: RecalibratedOdometry,
+    tracker: RecalibratedOdometry,
     PipelineInput { frames: opened, gnss }: PipelineInput,
     watch: &Watch,
     ground: &LiveGround,
@@ -67,7 +67,7 @@ pub fn follow(
 ) -> Result<RunOutcome> {
     let LiveSinks { poses, log } = sinks;
     let mut following = Following {
-        odometry,
+        tracker,
         frames: KeptFrames::new(recorder.path()),
         times: StageTimes::default(),
         latencies: Latencies::default(),
@@ -166,7 +166,7 @@ struct PageImage {
 
 /// The tracking stage.
 struct Following<'a, 'p> {
-    odometry: RecalibratedOdometry,
+    tracker: RecalibratedOdometry,
     frames: KeptFrames,
     times: StageTimes,
     latencies: Latencies,
@@ -277,34 +277,34 @@ impl Following<'_, '_> {
         let Captured { frame, at } = captured;
         self.gnss.frame(at, frame.time_s);
         let begun = Instant::now();
-        let (estimate, mut events) = self.odometry.process(&frame)?;
+        let (estimate, mut events) = self.tracker.process(&frame)?;
         let latency_ms = self.latencies.add(at.elapsed());
         self.times.decode.push(decoding);
         self.times.track.push(begun.elapsed());
-        let seen = self.odometry.pose_frames.frame(&estimate);
+        let seen = self.tracker.pose_frames.frame(&estimate);
         if let Some(poses) = &mut self.poses {
-            let of = self.odometry.pose_frames.at(frame.number);
+            let of = self.tracker.pose_frames.at(frame.number);
             let map_from_odometry = beside.map_from_odometry();
             poses.take(&LiveFrame { estimate: &seen, of, latency_ms, map_from_odometry })?;
         }
         self.observer.frame(&seen);
         self.recorder.record(&seen);
         if let Some(log) = self.log {
-            let tracks = || self.odometry.odometry.tracks().to_vec();
-            log.give(&seen, self.odometry.pose_frames.at(frame.number), latency_ms, || TrackedImage {
+            let tracks = || self.tracker.odometry.tracks().to_vec();
+            log.give(&seen, self.tracker.pose_frames.at(frame.number), latency_ms, || TrackedImage {
                 gray: frame.gray.clone(),
                 tracks: tracks(),
             });
         }
         let first_time_s = self.frames.first_time_s().unwrap_or(estimate.time_s);
-        let reference = self.odometry.odometry.reference();
+        let reference = self.tracker.odometry.reference();
         let keyframe = reference.map(|reference| reference.keyframe.0);
         // Without viewers the path need not be kept in memory.
         if self.shown {
             let record = TrackRecord::new(&seen, first_time_s, Some(latency_ms)).measured_against(keyframe);
             let record = self.hub.add_record(&record);
             if self.hub.viewers() > 0 {
-                let tracks = self.odometry.odometry.tracks().to_vec();
+                let tracks = self.tracker.odometry.tracks().to_vec();
                 beside.views.give(PageImage { record, gray: frame.gray.clone(), tracks });
             }
         }
@@ -315,7 +315,7 @@ impl Following<'_, '_> {
         number_as_source(&mut events, |index| self.frames.number_in_source(index));
         let is_keyframe = is_made(&events, frame.number);
         if self.shown && is_keyframe {
-            self.layers.show(&self.odometry.odometry, self.hub, &beside.map_from_odometry());
+            self.layers.show(&self.tracker.odometry, self.hub, &beside.map_from_odometry());
         }
         if !events.is_empty() {
             beside.mapping.give(Happened { events, frame: is_keyframe.then(|| frame.clone()) });
@@ -329,7 +329,7 @@ impl Following<'_, '_> {
     /// Distance since the previous frame, where both have connected poses, metres.
     fn step_m(&self, next: &FrameEstimate) -> f64 {
         let before = self.frames.last().filter(|before| before.segment == next.segment);
-        let before = before.map(|before| self.odometry.pose_frames.frame(before));
+        let before = before.map(|before| self.tracker.pose_frames.frame(before));
         match (before.as_ref().and_then(|before| before.estimate.as_ref()), &next.estimate) {
             (Some(a), Some(b)) => (b.pose.x_m - a.pose.x_m).hypot(b.pose.y_m - a.pose.y_m),
             _ => 0.0,
@@ -352,7 +352,7 @@ impl Following<'_, '_> {
             fps,
             latency_median_ms,
             latency_p99_ms,
-            keyframes: self.odometry.odometry.keyframes(),
+            keyframes: self.tracker.odometry.keyframes(),
             distance_m: self.distance_m,
             recording: self.recorder.is_recording(),
         });
@@ -370,10 +370,10 @@ impl Following<'_, '_> {
         failure: Option<Error>,
     ) -> (Tracked, OutputFolder) {
         let live = self.statistics(dropped);
-        let (mount, lens) = self.odometry.found(plan);
+        let (mount, lens) = self.tracker.found(plan);
         let tracked = Tracked {
             marks: self.recorder.report_marks(),
-            recalibrated: self.odometry.recalibrated.clone(),
+            recalibrated: self.tracker.recalibrated.clone(),
             warnings,
             times: self.times,
             live: Some(live),
@@ -381,7 +381,7 @@ impl Following<'_, '_> {
             unmapped: self.unmapped,
             mount,
             lens,
-            ..Tracked::of(plan, &self.odometry.odometry, self.frames, views, mapping)
+            ..Tracked::of(plan, &self.tracker.odometry, self.frames, views, mapping)
         };
         (tracked, self.recorder.into_folder())
     }
