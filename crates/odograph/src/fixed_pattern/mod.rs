@@ -211,11 +211,14 @@ impl FixedPattern {
     fn decide(&mut self) {
         let sure = self.statistics.added() >= SURE_SAMPLES;
         self.statistics.find_fixed_cells(self.noise);
-        self.is_everywhere = self.statistics.samples() >= SETTLED_SAMPLES && self.statistics.is_everywhere();
+        // Were a pattern masked, nothing would be left that shows how the ground moves.
+        let is_pattern = self.statistics.lies_over_moving_ground(self.noise);
+        let is_everywhere = is_pattern || self.statistics.is_everywhere();
+        self.is_everywhere = is_everywhere && self.statistics.samples() >= SETTLED_SAMPLES;
         let found = self.statistics.fixed();
         let large = found.iter().filter(|fixed| **fixed).count() as f64 > LARGE * found.len() as f64;
         for (lasting, (now, before)) in self.lasting.iter_mut().zip(found.iter().zip(&self.before)) {
-            *lasting = *now && (large || *before && sure);
+            *lasting = *now && !is_pattern && (large || *before && sure);
         }
         self.before.copy_from_slice(found);
         let known = self.known.as_deref().filter(|_| !sure);

@@ -255,6 +255,12 @@ const GROWN_CELLS: usize = 4;
 const MOVES: f32 = 0.5;
 const MIN_MOVING: f64 = 0.25;
 
+/// Ground moves in a cell whose variance is more than this multiple of what noise explains.
+const MOVING_OVER_NOISE: f32 = 1.5;
+
+/// A pattern that lies over moving ground covers at least this part of the image.
+const MUCH: f64 = 0.3;
+
 /// Static gradients are everywhere if their square exceeds this part of the variance in most cells.
 /// Measured after twelve samples: 0.8 of the cells of a sensor in the dark; of clean drives at most
 /// 0.02, and half of those along bricks, whose joints have one direction.
@@ -324,6 +330,19 @@ impl GradientStatistics {
             && has_two_directions((xx, xy, yy), f64::from(TWO_DIRECTIONS))
     }
 
+    /// Whether much of the image is static, and ground moves below most of that: unlike a thing, a
+    /// pattern that the camera adds hides nothing. Known after [`GradientStatistics::find_fixed_cells`],
+    /// which takes the same `noise`.
+    pub fn lies_over_moving_ground(&self, noise: f64) -> bool {
+        let noise = (GRADIENT_NOISE * noise) as f32;
+        let (mut fixed, mut varying) = (0usize, 0usize);
+        for (_, variance) in self.fixed.iter().zip(&self.around[3]).filter(|(fixed, _)| **fixed) {
+            fixed += 1;
+            varying += usize::from(*variance > MOVING_OVER_NOISE * noise);
+        }
+        fixed as f64 > MUCH * self.fixed.len() as f64 && 2 * varying > fixed
+    }
+
     /// Finds the static cells, dilated so that no patch outside them includes static texture.
     /// `noise` is the pixel noise variance, gray levels².
     pub fn find_fixed_cells(&mut self, noise: f64) {
@@ -334,7 +353,7 @@ impl GradientStatistics {
         for at in 0..self.fixed.len() {
             let [xx, xy, yy, variance] = [0, 1, 2, 3].map(|i| self.around[i][at]);
             let energy = xx + yy;
-            let ground = (variance - 1.5 * noise).max(0.0);
+            let ground = (variance - MOVING_OVER_NOISE * noise).max(0.0);
             let stays = energy > (OVER_NOISE * noise).max(OVER_VARIANCE * ground);
             self.fixed[at] = stays;
             for (shape, own) in self.shape.iter_mut().zip([xx, xy, yy]) {
