@@ -2,13 +2,13 @@
 
 use crate::plan::RunPlan;
 use odograph::camera::{Camera, Rig};
-use odograph::fixed_pattern::NonuniformityCorrection;
+use odograph::fixed_pattern::{ImageMask, NonuniformityCorrection};
 use odograph::formats::decimal::Rounded;
-use odograph::image::GrayImage;
 use odograph::motion::MotionModel;
 use odograph::mounting::{CalibrationUpdate, LensMeasurement, TiltMeasurement};
 use odograph::odometry::Odometry;
 use serde::Serialize;
+use std::sync::Arc;
 
 /// The part of the image that was ignored because it is static.
 #[derive(Debug, Clone, PartialEq, Serialize)]
@@ -19,16 +19,16 @@ pub struct FixedInImage {
     /// where there was none.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub pattern_gray: Option<f64>,
-    /// White is ground.
+    /// Where it is; `None` where nothing is.
     #[serde(skip)]
-    pub picture: GrayImage,
+    pub mask: Option<Arc<ImageMask>>,
 }
 
 impl FixedInImage {
     pub(crate) fn of(odometry: &Odometry) -> Self {
         let fixed = odometry.fixed_in_image();
         let pattern_gray = odometry.correction().map(NonuniformityCorrection::rms_gray);
-        Self { share: fixed.share(), pattern_gray, picture: fixed.picture() }
+        Self { share: fixed.share(), pattern_gray, mask: fixed.mask().cloned() }
     }
 
     /// Up to two lines; empty where there is nothing to say.

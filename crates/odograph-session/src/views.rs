@@ -79,10 +79,11 @@ impl MosaicFrames {
         if self.waiting.len() > MAX_WAITING { self.keep_waiting() } else { Ok(()) }
     }
 
-    /// Renders keyframes and kept frames at the poses of `frames`, decoding concurrently where
-    /// `threads` allow.
+    /// Renders keyframes and kept frames at the poses of `frames` into an empty mosaic, decoding
+    /// concurrently where `threads` allow.
     pub fn render(
         &mut self,
+        mut mosaic: Mosaic,
         camera: &Camera,
         frames: &mut KeptFrames,
         mapping: &mut Mapping,
@@ -105,7 +106,6 @@ impl MosaicFrames {
             let image = keyframe.map_or_else(|| images.load(number), |id| mapping.image(id));
             image.map(|image| (image, pose))
         });
-        let mut mosaic = Mosaic::new(Default::default());
         let mut render = |(KeyframeImage { gray, color }, pose): (KeyframeImage, GroundPose)| {
             match color {
                 Some(color) => mosaic.add(&color, camera, &pose),

@@ -220,8 +220,8 @@ impl Finishing<'_> {
             None if stays => {}
             None => self.folder.remove(FOUND_CAMERA)?,
         }
-        if self.tracked.fixed.share > 0.0 {
-            self.folder.write(MASK, &files::png_from_gray(&self.tracked.fixed.picture)?)?;
+        if let Some(mask) = &self.tracked.fixed.mask {
+            self.folder.write(MASK, &files::png_from_gray(&mask.picture())?)?;
         } else {
             self.folder.remove(MASK)?;
         }
@@ -326,7 +326,10 @@ impl Finishing<'_> {
         let threads = self.ending.output.threads();
         let tracked = &mut self.tracked;
         let corrected = corrected.unwrap_or(&mut tracked.frames);
-        let rendered = tracked.views.render(&self.plan.camera, corrected, &mut tracked.mapping, threads);
+        let mut mosaic = Mosaic::new(Default::default());
+        mosaic.set_mask(tracked.fixed.mask.clone());
+        let rendered =
+            tracked.views.render(mosaic, &self.plan.camera, corrected, &mut tracked.mapping, threads);
         let mosaic = rendered.unwrap_or_else(|error| {
             self.fail("there is no picture of the ground", error);
             Mosaic::new(Default::default())

@@ -4,6 +4,7 @@ use super::mosaic_rendering::{MosaicRendering, MosaicRenderingSummary};
 use crate::views::Posed;
 use odograph::camera::Camera;
 use odograph::error::Result;
+use odograph::fixed_pattern::ImageMask;
 use odograph::geometry::{GroundPose, Sim2};
 use odograph::ground_map::{KeyframeImage, KeyframeImages};
 use odograph::keyframe::KeyframeId;
@@ -85,10 +86,10 @@ impl LiveGround {
         self.shown
     }
 
-    /// Renders a frame where it shows new ground.
-    pub fn render(&self, posed: Posed) {
+    /// Renders a frame where it shows new ground, outside the mask.
+    pub fn render(&self, posed: Posed, mask: Option<Arc<ImageMask>>) {
         if let Stage::Growing(rendering) = &mut self.state().mosaic {
-            rendering.next(posed);
+            rendering.next(posed, mask);
         }
     }
 
@@ -97,6 +98,9 @@ impl LiveGround {
     pub fn render_again(&self, update: &MosaicUpdate) -> Result<()> {
         let mut file = MapFile::open_read_only(&update.file)?;
         let mut fresh = Mosaic::new(Default::default());
+        if let Stage::Growing(rendering) = &self.state().mosaic {
+            fresh.set_mask(rendering.mosaic().mask().cloned());
+        }
         for (id, pose) in &update.keyframes {
             let KeyframeImage { gray, color } = file.load(*id)?;
             match &color {
@@ -199,7 +203,8 @@ mod tests {
     fn posed(number: u64, shade: u8, pose: GroundPose) -> Posed {
         let picture =
             Picture::from_samples(SampleLayout::Gray, 64, 48, 64, &[shade; 64 * 48], false).unwrap();
-        Posed { frame: Frame::new(number, number as f64, picture), pose, segment: 0, is_keyframe: false }
+        let frame = Frame::new(number, number as f64, picture);
+        Posed { frame, pose, segment: 0, is_keyframe: false }
     }
 
     /// Gray level of the ground at x on the x axis.
@@ -217,8 +222,8 @@ mod tests {
         let folder = tempfile::tempdir().unwrap();
         let rendered = |shown| {
             let ground = LiveGround::new(camera(), folder.path(), shown);
-            ground.render(posed(0, 50, at(0.0)));
-            ground.render(posed(1, 90, at(30.0)));
+            ground.render(posed(0, 50, at(0.0)), None);
+            ground.render(posed(1, 90, at(30.0)), None);
             assert!(ground.finish().unwrap().failure.is_none());
             TiledGround::state(&ground).is_some()
         };
@@ -250,8 +255,8 @@ mod tests {
             file.add_keyframe(keyframe, &KeyframeImage { gray, color: None }, &[]).unwrap();
         }
         let ground = LiveGround::new(camera, folder.path(), true);
-        ground.render(posed(0, 50, at(0.0)));
-        ground.render(posed(1, 90, at(30.0)));
+        ground.render(posed(0, 50, at(0.0)), None);
+        ground.render(posed(1, 90, at(30.0)), None);
         let before = TiledGround::state(&ground).unwrap().revision;
         assert_eq!([0.1, 15.1, 30.1].map(|x_m| shade(&ground, x_m)), [Some(50), None, Some(90)]);
         let keyframes = vec![(first.id, first.pose), (second.id, second.pose)];
@@ -265,7 +270,7 @@ mod tests {
         assert_eq!([0.1, 15.1, 30.1].map(|x_m| shade(&ground, x_m)), [Some(50), Some(90), None]);
         // Frames that odometry has fifteen metres too far are rendered at their corrected poses.
         let revision = TiledGround::state(&ground).unwrap().revision;
-        ground.render(posed(2, 130, at(40.0)));
+        ground.render(posed(2, 130, at(40.0)), None);
         assert_eq!([25.1, 40.1].map(|x_m| shade(&ground, x_m)), [Some(130), None]);
         let new = ground.changed_since(revision);
         assert!(!new.is_empty() && new.iter().all(|tile| ground.tile_rgba(*tile).is_some()), "{new:?}");
@@ -275,8 +280,8 @@ mod tests {
     fn at_the_end_the_ground_is_the_one_that_was_written() {
         let folder = tempfile::tempdir().unwrap();
         let ground = LiveGround::new(camera(), folder.path(), true);
-        ground.render(posed(0, 50, at(0.0)));
-        ground.render(posed(1, 90, at(30.0)));
+        ground.render(posed(0, 50, at(0.0)), None);
+        ground.render(posed(1, 90, at(30.0)), None);
         ground.finish().unwrap();
         let before = TiledGround::state(&ground).unwrap();
         let placement = Placement { metres_per_pixel: before.metres_per_pixel, x_m: 0.0, y_m: 0.0 };

@@ -4,9 +4,11 @@ use crate::timings::Timings;
 use crate::views::{MosaicFrames, Posed};
 use odograph::camera::Camera;
 use odograph::error::Error;
+use odograph::fixed_pattern::ImageMask;
 use odograph::geometry::{PlaneTransform, Sim2};
 use odograph::mosaic::Mosaic;
 use std::path::Path;
+use std::sync::Arc;
 use std::time::Instant;
 
 /// The mosaic so far, and the frames from which it is rendered again at the end, at their final
@@ -61,9 +63,10 @@ impl MosaicRendering {
         (self.mosaic, self.correction) = (mosaic, correction);
     }
 
-    /// Renders a frame where it shows new ground.
-    pub fn next(&mut self, posed: Posed) {
+    /// Renders a frame where it shows new ground, outside the mask.
+    pub fn next(&mut self, posed: Posed, mask: Option<Arc<ImageMask>>) {
         let started = Instant::now();
+        self.mosaic.set_mask(mask);
         if let Some(before) = self.before.take().filter(|before| before.segment != posed.segment) {
             self.render(&before);
         }

@@ -24,6 +24,7 @@ use crate::recalibrated_odometry::RecalibratedOdometry;
 use crate::statistics::LiveStatistics;
 use crate::views::{MosaicFrames, Posed};
 use odograph::error::{Error, Result};
+use odograph::fixed_pattern::ImageMask;
 use odograph::geometry::{PlaneTransform, Sim2};
 use odograph::image::GrayImage;
 use odograph::odometry::{KeyframeEvent, TrackView};
@@ -139,7 +140,7 @@ struct Happened {
 
 /// The queues to the other threads.
 struct Beside {
-    rendering: Newest<Posed>,
+    rendering: Newest<(Posed, Option<Arc<ImageMask>>)>,
     mapping: Newest<Happened>,
     views: Newest<PageImage>,
     updates: Newest<MosaicUpdate>,
@@ -204,7 +205,7 @@ impl Following<'_, '_> {
             if let Some(log) = log {
                 scope.spawn(|| log.write_all());
             }
-            scope.spawn(move || each(&beside.rendering, |posed| ground.render(posed)));
+            scope.spawn(move || each(&beside.rendering, |(posed, mask)| ground.render(posed, mask)));
             scope.spawn(move || {
                 each(&beside.views, |sight: PageImage| {
                     if let Some(view) = View::new(sight.record, &sight.gray, &sight.tracks) {
@@ -321,7 +322,8 @@ impl Following<'_, '_> {
             beside.mapping.give(Happened { events, frame: is_keyframe.then(|| frame.clone()) });
         }
         if let Some(pose) = pose {
-            beside.rendering.give(Posed { frame, pose, segment, is_keyframe });
+            let mask = self.tracker.odometry.fixed_in_image().mask().cloned();
+            beside.rendering.give((Posed { frame, pose, segment, is_keyframe }, mask));
         }
         Ok(())
     }

@@ -66,7 +66,7 @@ const EVERY: u64 = 12;
 const FIRST_IMAGES: u64 = 300;
 
 /// The mask is recomputed at these numbers of samples, and then every `DECIDE_EVERY` samples.
-const FIRST_DECISIONS: [u32; 6] = [3, 4, 5, 6, 8, 12];
+const FIRST_DECISIONS: [u32; 9] = [3, 4, 5, 6, 8, 12, 16, 20, 24];
 const DECIDE_EVERY: u32 = 16;
 
 /// Minimum fraction of the textured blocks that must have moved for an image to be used. Without a

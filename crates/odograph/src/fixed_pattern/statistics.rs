@@ -221,6 +221,8 @@ pub(super) struct GradientStatistics {
     grown: Vec<bool>,
     /// Whether a cell is static by the weaker criterion that applies next to a static cell.
     also: Vec<bool>,
+    /// One where a cell is static and no ground moves below it, else zero; then its mean.
+    hides: Vec<f32>,
 }
 
 /// Memory of the exponential moving average, samples: dirt that appears during the drive is found
@@ -243,6 +245,12 @@ const TWO_DIRECTIONS: f32 = 0.05;
 
 /// The same ratio within `REACH` cells: a joint beside a bumper is not static.
 const OWN_DIRECTIONS: f32 = 0.008;
+
+/// A static thing continues where this part of the cells within `HIDING_REACH` is static and hides
+/// the ground, whatever the directions there, as over the stripes of a bumper. A joint beside it is
+/// narrow: with [`REACH`], six of the thirteen cells across.
+const HIDING_REACH: usize = 6;
+const HIDING_SHARE: f32 = 0.6;
 
 /// Weaker variance factor for up to `GROWN_CELLS` cells around a static cell, where a patch would
 /// include both.
@@ -286,6 +294,7 @@ impl GradientStatistics {
             fixed: no(),
             grown: no(),
             also: no(),
+            hides: none(),
         }
     }
 
@@ -356,6 +365,7 @@ impl GradientStatistics {
             let ground = (variance - MOVING_OVER_NOISE * noise).max(0.0);
             let stays = energy > (OVER_NOISE * noise).max(OVER_VARIANCE * ground);
             self.fixed[at] = stays;
+            self.hides[at] = f32::from(u8::from(stays && variance < MOVING_OVER_NOISE * noise));
             for (shape, own) in self.shape.iter_mut().zip([xx, xy, yy]) {
                 shape[at] = if stays { own } else { 0.0 };
             }
@@ -381,10 +391,44 @@ impl GradientStatistics {
             };
             *fixed = has(TWO_DIRECTIONS, &self.shape) && has(OWN_DIRECTIONS, &self.around);
         }
+        self.continue_where_ground_is_hidden();
         for _ in 0..GROWN_CELLS {
             self.widen(true);
         }
         self.widen(false);
+        self.continue_to_the_border();
+    }
+
+    /// The last row and column have no neighbours, hence no gradients of their own.
+    fn continue_to_the_border(&mut self) {
+        for row in self.fixed.chunks_exact_mut(self.columns) {
+            if let [.., before, last] = row {
+                *last |= *before;
+            }
+        }
+        if self.rows > 1 {
+            let (before, last) = self.fixed.split_at_mut((self.rows - 1) * self.columns);
+            let before = &before[(self.rows - 2) * self.columns..];
+            last.iter_mut().zip(before).for_each(|(last, before)| *last |= before);
+        }
+    }
+
+    /// Continues the static cells over all cells around which the ground is hidden.
+    fn continue_where_ground_is_hidden(&mut self) {
+        mean_around(&mut self.hides, &mut self.along[0], (self.columns, self.rows), HIDING_REACH);
+        let mut open: Vec<usize> = (0..self.fixed.len()).filter(|&at| self.fixed[at]).collect();
+        while let Some(at) = open.pop() {
+            let (column, row) = (at % self.columns, at / self.columns);
+            for row in row.saturating_sub(1)..(row + 2).min(self.rows) {
+                for column in column.saturating_sub(1)..(column + 2).min(self.columns) {
+                    let next = row * self.columns + column;
+                    if !self.fixed[next] && self.hides[next] > HIDING_SHARE {
+                        self.fixed[next] = true;
+                        open.push(next);
+                    }
+                }
+            }
+        }
     }
 
     /// The static cells that were found.

@@ -14,6 +14,7 @@ mod sampling;
 mod tiles;
 
 use crate::camera::Camera;
+use crate::fixed_pattern::ImageMask;
 use crate::geometry::GroundPose;
 use crate::geometry::Placement;
 use crate::image::{GrayImage, RgbImage};
@@ -24,6 +25,7 @@ use orthorectification::{BLOCK, BlockCorner, Blocks, feather};
 use sampling::FrameSamples;
 use std::borrow::Cow;
 use std::ops::Range;
+use std::sync::Arc;
 use tiles::{TILE, Tiles};
 
 /// Minimum share of the footprint that is new, or seen at least twice as well as before, for a
@@ -136,6 +138,8 @@ pub struct Mosaic {
     footprint: Option<Footprint>,
     corners: Vec<Option<BlockCorner>>,
     samples: FrameSamples,
+    /// What of the images is not ground.
+    mask: Option<Arc<ImageMask>>,
 }
 
 impl Mosaic {
@@ -148,7 +152,19 @@ impl Mosaic {
             footprint: None,
             corners: vec![],
             samples: FrameSamples::default(),
+            mask: None,
         }
+    }
+
+    /// Leaves out what a mask covers in images that are added from now on: a bumper, dirt on the
+    /// lens.
+    pub fn set_mask(&mut self, mask: Option<Arc<ImageMask>>) {
+        self.mask = mask;
+    }
+
+    /// What is left out in the images.
+    pub fn mask(&self) -> Option<&Arc<ImageMask>> {
+        self.mask.as_ref()
     }
 
     /// Side of a ground pixel, metres; `None` before the first frame.

@@ -247,3 +247,34 @@ fn changed_tiles_put_together_are_the_picture() {
     }
     assert_eq!(opaque, held.values().flat_map(|rgba| rgba.chunks_exact(4)).filter(|p| p[3] > 0).count());
 }
+
+#[test]
+fn what_a_mask_covers_is_no_ground() {
+    let camera = camera();
+    let rays = rays(&camera);
+    let mut picture = GrayImage::new(camera.width(), camera.height());
+    let (width, height) = (camera.width(), camera.height());
+    picture.samples_mut()[..width * height / 2].fill(255);
+    let mask = Arc::new(ImageMask::from_picture(&picture));
+    // A bumper in the lower half: white, which the waves of the ground never are.
+    let with_bumper = |pose: &GroundPose| {
+        let mut image = rendered(&camera, &rays, pose, 1.0);
+        image.samples_mut()[width * height / 2..].fill(255);
+        image
+    };
+    let poses = [GroundPose::level(0.5), GroundPose { x_m: 0.2, ..GroundPose::level(0.5) }];
+    let rendered_with = |mask: Option<Arc<ImageMask>>| {
+        let mut mosaic = Mosaic::new(MosaicOptions::default());
+        mosaic.set_mask(mask);
+        poses.iter().for_each(|pose| assert!(mosaic.add(&with_bumper(pose), &camera, pose)));
+        mosaic.picture().unwrap()
+    };
+    let seen = |picture: &MosaicPicture| picture.rgba.chunks(4).filter(|pixel| pixel[3] > 0).count();
+    let white = |picture: &MosaicPicture| {
+        picture.rgba.chunks(4).filter(|pixel| pixel[3] > 0 && pixel[0] > 240).count()
+    };
+    let (with, without) = (rendered_with(Some(mask)), rendered_with(None));
+    assert!(white(&without) > seen(&without) / 4);
+    assert_eq!(white(&with), 0);
+    assert!(seen(&with) > seen(&without) / 3);
+}
