@@ -340,8 +340,8 @@ impl GradientStatistics {
     }
 
     /// Whether much of the image is static, and ground moves below most of that: unlike a thing, a
-    /// pattern that the camera adds hides nothing. Known after [`GradientStatistics::find_fixed_cells`],
-    /// which takes the same `noise`.
+    /// pattern that the camera adds hides nothing. Known after
+    /// [`GradientStatistics::find_fixed_cells`], which takes the same `noise`.
     pub fn lies_over_moving_ground(&self, noise: f64) -> bool {
         let noise = (GRADIENT_NOISE * noise) as f32;
         let (mut fixed, mut varying) = (0usize, 0usize);
