@@ -15,8 +15,7 @@ mod tiles;
 
 use crate::camera::Camera;
 use crate::fixed_pattern::ImageMask;
-use crate::geometry::GroundPose;
-use crate::geometry::Placement;
+use crate::geometry::{GroundPose, Pixel, Placement};
 use crate::image::{GrayImage, RgbImage};
 pub use coverage::Coverage;
 use footprint::{Footprint, GroundCamera};
@@ -215,9 +214,13 @@ impl Mosaic {
             return true;
         };
         let feather = feather(camera);
+        let mask = self.mask.as_deref();
         let (mut seen, mut new, mut better) = (0, 0, 0);
         for point in footprint.ground_points(&view) {
             let Some(look) = view.look(point) else { continue };
+            if mask.is_some_and(|mask| mask.covers_pixel(Pixel::new(look.x, look.y))) {
+                continue;
+            }
             seen += 1;
             let weight = feather.weight(look.x as f32, look.y as f32, look.quality() as f32).max(1);
             match self.tiles.weight(address(point.x_m, resolution_m), address(-point.y_m, resolution_m)) {

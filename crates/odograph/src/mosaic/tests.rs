@@ -1,7 +1,6 @@
 use super::*;
 use crate::camera::Distortion;
 use crate::geometry::GroundPoint;
-use crate::geometry::Pixel;
 
 /// The brightness of an analytic ground: waves in three directions, none shorter than 4 cm.
 fn texture(point: GroundPoint) -> f64 {
@@ -263,6 +262,10 @@ fn what_a_mask_covers_is_no_ground() {
         image
     };
     let poses = [GroundPose::level(0.5), GroundPose { x_m: 0.2, ..GroundPose::level(0.5) }];
+    // The same view again has nothing new, although the bumper's half was never seen.
+    let mut once = Mosaic::new(MosaicOptions::default());
+    once.set_mask(Some(mask.clone()));
+    assert!(once.add(&with_bumper(&poses[0]), &camera, &poses[0]) && !once.wants(&camera, &poses[0]));
     let rendered_with = |mask: Option<Arc<ImageMask>>| {
         let mut mosaic = Mosaic::new(MosaicOptions::default());
         mosaic.set_mask(mask);
