@@ -324,7 +324,7 @@ fn the_page_shows_a_run_while_it_grows_and_afterwards() {
     };
     let place = LiveFolder::new();
     write_mask(&place.path("mask.png"));
-    let mut live = place.server("live", &format!("{DEMO}/drive.mp4 --realtime 2 --mask mask.png -o out"));
+    let mut live = place.server("live", &format!("{DEMO}/drive.mp4 --realtime 1 --mask mask.png -o out"));
     let url = live.url.clone();
     let page = browser.open(&url, (1280, 800), false);
     let number = |browser: &mut Browser, tab, name: &str| {
