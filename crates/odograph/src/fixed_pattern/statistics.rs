@@ -248,7 +248,7 @@ const OWN_DIRECTIONS: f32 = 0.008;
 
 /// A static thing continues where this part of the cells within `HIDING_REACH` is static and hides
 /// the ground, whatever the directions there, as over the stripes of a bumper. A joint beside it is
-/// narrow: with [`REACH`], six of the thirteen cells across.
+/// narrow: with [`REACH`], six of the thirteen cells across. Chosen on one bumper with stripes.
 const HIDING_REACH: usize = 6;
 const HIDING_SHARE: f32 = 0.6;
 
@@ -266,7 +266,8 @@ const MIN_MOVING: f64 = 0.25;
 /// Ground moves in a cell whose variance is more than this multiple of what noise explains.
 const MOVING_OVER_NOISE: f32 = 1.5;
 
-/// A pattern that lies over moving ground covers at least this part of the image.
+/// A pattern that lies over moving ground covers at least this part of the image. Ten dead lines
+/// had 0.36 to 0.46. Chosen on two drives with these and one of a thermal camera.
 const MUCH: f64 = 0.3;
 
 /// Static gradients are everywhere if their square exceeds this part of the variance in most cells.
