@@ -28,16 +28,19 @@ impl TextureClass {
             quality: 0.0,
             ..Default::default()
         };
+        // A mask takes corners of the ground away, not the ground's texture.
+        let open = 1.0 - mask.map_or(0.0, |mask| mask.share());
+        let enough_corners = ((open * ENOUGH_CORNERS as f64).ceil() as usize).max(ENOUGH_OF_A_PATTERN);
         let sought = Detection::new((coarse.width(), coarse.height()), &config, 3);
         let corners = sought.without(mask.cloned(), 2).corners(coarse);
         let are = |enough: usize, strength: f64| {
             corners.iter().filter(|c| f64::from(c.strength) >= strength).count() >= enough
         };
-        if !are(ENOUGH_CORNERS, FAINT_STRENGTH) && !are(ENOUGH_OF_A_PATTERN, STRONG) {
+        if !are(enough_corners, FAINT_STRENGTH) && !are(ENOUGH_OF_A_PATTERN, STRONG) {
             return Self::Faint;
         }
         let noise = noise_variance(pyramid.base());
-        if are(ENOUGH_CORNERS, OVER_NOISE * noise) || are(ENOUGH_OF_A_PATTERN, WELL_OVER_NOISE * noise) {
+        if are(enough_corners, OVER_NOISE * noise) || are(ENOUGH_OF_A_PATTERN, WELL_OVER_NOISE * noise) {
             Self::Clear
         } else {
             Self::Drowned
@@ -45,7 +48,8 @@ impl TextureClass {
     }
 }
 
-/// So many corners make texture, and so few the crossings of joints between tiles.
+/// So many corners in an image without a mask make texture, and so few the crossings of joints
+/// between tiles.
 const ENOUGH_CORNERS: usize = 20;
 const ENOUGH_OF_A_PATTERN: usize = 4;
 
@@ -204,5 +208,25 @@ mod tests {
     fn a_few_strong_corners_are_texture() {
         assert_eq!(TextureClass::of(&checkerboard(20, 60), None), TextureClass::Clear);
         assert_eq!(TextureClass::of(&checkerboard(20, 24), None), TextureClass::Faint);
+    }
+    /// A faint dot in every square of 80 pixels: 8 in a row and 6 rows.
+    fn dots() -> Pyramid {
+        let mut image = GrayImage::new(640, 480);
+        for (index, sample) in image.samples_mut().iter_mut().enumerate() {
+            let is_dot = |at: usize| (36..44).contains(&(at % 80));
+            *sample = if is_dot(index % 640) && is_dot(index / 640) { 95 } else { 100 };
+        }
+        Pyramid::new(image, 3)
+    }
+
+    #[test]
+    fn a_mask_does_not_make_the_rest_of_the_image_faint() {
+        let mut shown = GrayImage::new(640, 480);
+        shown.samples_mut().fill(255);
+        shown.samples_mut()[640 * 190..].fill(0);
+        let mask = Arc::new(ImageMask::from_picture(&shown));
+        // Sixteen dots are left: too few for a whole image.
+        assert_eq!(TextureClass::of(&dots(), None), TextureClass::Clear);
+        assert_eq!(TextureClass::of(&dots(), Some(&mask)), TextureClass::Clear);
     }
 }
