@@ -5,9 +5,10 @@ use crate::complaint::{Complaint, WithContext};
 use crate::origin::{self, SessionOrigin};
 use crate::row_order::in_order;
 use crate::thinning::{Thinning, thinning};
-use crate::{cameras, schema};
+use crate::{cameras, masks, schema};
 use odograph::camera::{Camera, Rig};
 use odograph::error::{Error, Result};
+use odograph::fixed_pattern::ImageMask;
 use odograph::ground_map::{GroundMap, KeyframeImages, MountedCamera};
 use odograph::keyframe::KeyframeId;
 use rusqlite::config::DbConfig;
@@ -246,6 +247,7 @@ impl MapFile {
             camera: self.camera.clone(),
             rig: self.rig,
             other_cameras: self.other_cameras.clone(),
+            masks: masks::read(&self.connection, &self.complaint, |session| self.camera_of(session))?,
             keyframes: self.keyframes()?,
             edges: self.edges()?,
         })
@@ -311,6 +313,13 @@ impl MapFile {
         Ok(id)
     }
 
+    /// Sets what of a session's images is not ground; `None` where all of it is.
+    pub fn set_mask(&mut self, session: u32, mask: Option<&ImageMask>) -> Result<()> {
+        let transaction = self.connection.transaction().while_writing(&self.complaint)?;
+        masks::write(&transaction, session, mask, &self.complaint)?;
+        transaction.commit().while_writing(&self.complaint)
+    }
+
     /// Removes a session with its keyframes, their edges and its path. The mosaic is not changed.
     pub fn remove_session(&mut self, session: u32) -> Result<()> {
         let own = self.keyframes()?.into_iter().filter(|keyframe| keyframe.session == session);
@@ -319,6 +328,7 @@ impl MapFile {
         self.set_path(session, &[])?;
         let remove = |connection: &Connection| {
             cameras::remove_of_session(connection, session)?;
+            masks::remove(connection, session)?;
             origin::remove_session(connection, session)?;
             connection.execute("DELETE FROM odograph_session WHERE id = ?1", [session])
         };

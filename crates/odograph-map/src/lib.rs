@@ -19,6 +19,7 @@ mod keyframes;
 mod landmarks;
 mod lever_arm;
 mod markers;
+mod masks;
 mod mosaic;
 mod numbers;
 mod origin;

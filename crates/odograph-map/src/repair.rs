@@ -14,7 +14,7 @@ use crate::paths::{self, PathFrame};
 use crate::pose_columns::is_pose;
 use crate::row_order::RowOrder;
 use crate::thinning::edges_without;
-use crate::{cameras, complaint::WithContext, origin, schema};
+use crate::{cameras, complaint::WithContext, masks, origin, schema};
 use odograph::error::{Error, Result};
 use odograph::ground_map::{GroundMap, KeyframeImages, MapKeyframe};
 use odograph::keyframe::KeyframeId;
@@ -22,6 +22,7 @@ use odograph::place_recognition::Signature;
 use rusqlite::{Connection, Row, params};
 use std::collections::{BTreeMap, BTreeSet};
 use std::path::Path;
+use std::sync::Arc;
 
 /// Number of rows probed one by one beyond the last row that could be read in order: more recover
 /// rows behind larger damage and take longer.
@@ -116,10 +117,13 @@ fn readable(source: &mut MapFile, keep_going: &mut dyn FnMut() -> bool) -> Resul
         lost.extend(missing);
     }
     lost.extend(without_image.iter().copied());
+    let own_sessions: BTreeSet<u32> = keyframes.iter().map(|keyframe| keyframe.session).collect();
+    let mask = |session: u32| masks::readable(&source.connection, session, source.camera_of(session));
     let map = GroundMap {
         camera: source.camera().clone(),
         rig: *source.rig(),
         other_cameras: source.other_cameras().clone(),
+        masks: own_sessions.into_iter().filter_map(|session| Some((session, mask(session)?))).collect(),
         keyframes,
         edges,
     };
@@ -167,6 +171,7 @@ fn write(
         if let Some(mounted) = map.other_cameras.get(id) {
             cameras::write_of_session(&transaction, *id, mounted).while_writing(&complaint)?;
         }
+        masks::write(&transaction, *id, map.masks.get(id).map(Arc::as_ref), &complaint)?;
         if let Some(origin) = origins.get(id) {
             origin::write(&transaction, *id, origin).while_writing(&complaint)?;
         }

@@ -2,6 +2,7 @@
 
 use odograph::camera::{Camera, Rig};
 use odograph::error::{Error, Result};
+use odograph::fixed_pattern::ImageMask;
 use odograph::ground_map::{
     KeyframeImage, KeyframeImages, KeyframeStore, MapKeyframe, MemoryImages, MountedCamera,
 };
@@ -10,6 +11,7 @@ use odograph::landmark::PlacedSighting;
 use odograph_calibration::MarkerFamily;
 use odograph_map::{MapClaim, MapFile, SessionOrigin};
 use std::path::PathBuf;
+use std::sync::Arc;
 
 /// A map file that is created with its first keyframe: a run without one leaves no file.
 pub struct GrowingMapFile {
@@ -25,6 +27,8 @@ pub struct GrowingMapFile {
     /// Origin of the session, where the robot has a name.
     pub origin: Option<SessionOrigin>,
     pub session: u32,
+    /// The mask of the session in the file.
+    pub mask: Option<Arc<ImageMask>>,
     /// The new keyframes, where the file is not to be written.
     pub kept: Option<MemoryImages>,
 }
@@ -78,6 +82,18 @@ impl GrowingMapFile {
             return Ok(());
         }
         file.set_markers(session, &family.name(), family.side_m(), sightings)
+    }
+
+    /// Sets what of the session's images is not ground, where the file has it otherwise.
+    pub fn set_mask(&mut self, mask: Option<&Arc<ImageMask>>) -> Result<()> {
+        let session = self.session;
+        let Some(file) = self.file.as_mut().filter(|_| self.kept.is_none() && self.mask.as_ref() != mask)
+        else {
+            return Ok(());
+        };
+        file.set_mask(session, mask.map(Arc::as_ref))?;
+        self.mask = mask.cloned();
+        Ok(())
     }
 
     pub fn set_poses(&mut self, keyframes: &[MapKeyframe]) -> Result<()> {

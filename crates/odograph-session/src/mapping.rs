@@ -13,6 +13,7 @@ use crate::plan::RunPlan;
 use crate::statistics::LoopStatistics;
 use crate::timings::{StageTime, Timings};
 use odograph::error::{Error, Result};
+use odograph::fixed_pattern::ImageMask;
 use odograph::geometry::{GroundPoint, GroundPose, Sim2};
 use odograph::georeference::{Anchor, Georeference};
 use odograph::ground_map::{KeyframeImage, KeyframeImages, MemoryImages};
@@ -25,6 +26,7 @@ use odograph::trajectory::FrameEstimate;
 use odograph_map::{MapClaim, MapFile, PathFrame};
 use odograph_video::Frame;
 use std::path::Path;
+use std::sync::Arc;
 use std::time::Instant;
 
 /// The mapper of a run, and the file that it writes.
@@ -85,6 +87,7 @@ impl Mapping {
             source: output.source_name(&plan.source.path),
             origin: folder.origin().cloned(),
             session: 0,
+            mask: None,
             kept: map.is_read_only().then(MemoryImages::default),
         };
         let mapper = if continued {
@@ -142,6 +145,7 @@ impl Mapping {
             };
             let started = Instant::now();
             self.mapper.take(event, color, &mut self.file)?;
+            self.file.set_mask(self.mapper.map().masks.get(&self.mapper.session()))?;
             if let Some(markers) = self.markers.as_ref().filter(|_| !sightings.is_empty()) {
                 let before = self.mapper.marker_sightings();
                 self.mapper.add_sightings(&sightings, &mut self.file)?;
@@ -163,6 +167,11 @@ impl Mapping {
     /// The pose graph so far.
     pub fn mapper(&self) -> &Mapper {
         &self.mapper
+    }
+
+    /// What of the images was not ground when the map was last continued with this camera.
+    pub fn expected_mask(&self) -> Option<&Arc<ImageMask>> {
+        self.mapper.map().newest_mask()
     }
 
     /// Path of the map file.
@@ -230,12 +239,13 @@ impl Mapping {
         Ok(corrected)
     }
 
-    /// Writes the final poses of the keyframes and the path of the run, unless the map is to stay
-    /// as it was.
-    pub fn save(&mut self, frames: &mut KeptFrames) -> Result<()> {
+    /// Writes the final poses of the keyframes, the path of the run and what of its images is not
+    /// ground, unless the map is to stay as it was.
+    pub fn save(&mut self, frames: &mut KeptFrames, mask: Option<&Arc<ImageMask>>) -> Result<()> {
         if self.is_withdrawn() {
             return Ok(());
         }
+        self.file.set_mask(mask)?;
         self.file.set_poses(&self.mapper.map().keyframes)?;
         if let Some(markers) = &self.markers {
             // Their metres are those of the keyframes, which sensors may have corrected.

@@ -7,6 +7,7 @@ use odograph::image::Pyramid;
 use odograph::place_recognition::{PlaceIndex, PlacesConfig, Signature};
 use odograph::slam::Mapper;
 use std::fmt;
+use std::sync::Arc;
 
 /// Number of keyframes that are looked up, spread over the run: more take longer.
 const MAX_LOOKED_UP: usize = 4;
@@ -44,7 +45,7 @@ impl OtherScale {
         if index.is_empty() {
             return None;
         }
-        let camera = map.camera_of(session);
+        let (camera, mask) = (map.camera_of(session), map.masks.get(&session).map(Arc::as_ref));
         let own: Vec<_> = map.keyframes.iter().filter(|keyframe| keyframe.session == session).collect();
         let every = own.len().div_ceil(MAX_LOOKED_UP).max(1);
         let mut found: Vec<f64> = Vec::new();
@@ -54,7 +55,7 @@ impl OtherScale {
             let at = |step: i32| {
                 let ratio = STEP.powi(step);
                 let higher = GroundPose { height_m: keyframe.pose.height_m * ratio, ..keyframe.pose };
-                let best = index.query(&Signature::of(&pyramid, camera, &higher, &config), 1);
+                let best = index.query(&Signature::of(&pyramid, camera, mask, &higher, &config), 1);
                 let best = best.into_iter().find(|place| place.is_sure())?;
                 Some((best.score, ratio * best.motion.w.exp()))
             };

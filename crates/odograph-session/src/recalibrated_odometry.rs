@@ -4,12 +4,14 @@ use crate::found::{FoundLens, FoundMount};
 use crate::plan::RunPlan;
 use odograph::camera::Rig;
 use odograph::error::Result;
+use odograph::fixed_pattern::ImageMask;
 use odograph::motion::MotionModel;
 use odograph::mounting::OnlineCalibration;
 use odograph::odometry::{KeyframeEvent, Odometry};
 use odograph::pose_frame::PoseFrames;
 use odograph::trajectory::FrameEstimate;
 use odograph_video::Frame;
+use std::sync::Arc;
 
 /// An odometry, its calibration where that may change from frame to frame, and the frames whose
 /// poses are written.
@@ -36,6 +38,14 @@ impl RecalibratedOdometry {
         let calibration = (plan.odometry.motion.model == MotionModel::Auto)
             .then(|| OnlineCalibration::new(&plan.camera, &plan.rig, lens_is_known));
         Ok(Self { calibration, ..Self::fixed(plan)? })
+    }
+
+    /// Begins with what earlier sessions of a map have found in the images that is not ground.
+    pub fn expecting(self, mask: Option<&Arc<ImageMask>>) -> Self {
+        match mask {
+            Some(mask) => Self { odometry: self.odometry.with_fixed(mask), ..self },
+            None => self,
+        }
     }
 
     /// The estimate of the next frame, and what happened to the keyframes.

@@ -15,33 +15,34 @@ use odograph::trajectory::{LossReason, TrackStatus};
 const AT_REST_PX: f64 = 0.03;
 const AT_REST_RESIDUALS: f64 = 0.4;
 
-/// Smallest share of the frames with a pose, and at rest beside losses to corners that stand still:
-/// in the others the camera may have moved.
+/// Smallest share of the frames that have a pose or were lost to corners that stand still, and of
+/// those with a pose that are at rest beside such losses: in the others the camera may have moved.
 const MIN_SHARE: f64 = 0.9;
 
 /// A warning where the camera did not move from the first frame to the last, or where what was
 /// tracked is likely to be a part of the carrier. Fails where the frames cannot be read back.
 pub fn stillness_warning(frames: &mut KeptFrames, camera: &Camera) -> Result<Option<String>> {
     let (count, posed) = (frames.count(), frames.posed());
-    let Some((segment, last)) =
-        frames.last().and_then(|last| Some((last.segment, last.estimate.as_ref()?.pose)))
-    else {
-        return Ok(None);
-    };
-    if posed < 2 || (posed as f64) < MIN_SHARE * count as f64 {
-        return Ok(None);
-    }
+    let mut last = None;
+    frames.each(|frame, _| {
+        last = frame.estimate.as_ref().map(|known| (frame.segment, known.pose)).or(last);
+        Ok(())
+    })?;
+    let Some((segment, last)) = last.filter(|_| posed >= 2) else { return Ok(None) };
     let seen = seen_from(camera, &last);
     let (mut moved_px, mut residuals_px) = (Vec::with_capacity(posed), Vec::with_capacity(posed));
-    let mut stood_still = false;
+    let mut stood_still = 0;
     frames.each(|frame, _| {
-        stood_still |= frame.status == TrackStatus::Lost { reason: LossReason::Shadow };
+        stood_still += usize::from(frame.status == TrackStatus::Lost { reason: LossReason::Shadow });
         let Some(known) = &frame.estimate else { return Ok(()) };
         let is_connected = frame.segment == segment;
         moved_px.push(if is_connected { moved(camera, &seen, &known.pose) } else { f64::INFINITY });
         residuals_px.push(frame.residual_px);
         Ok(())
     })?;
+    if ((posed + stood_still) as f64) < MIN_SHARE * count as f64 {
+        return Ok(None);
+    }
     let limit_px = AT_REST_PX + AT_REST_RESIDUALS * median(&mut residuals_px).unwrap_or(0.0);
     let at_rest = moved_px.iter().filter(|&&moved_px| moved_px <= limit_px).count();
     Ok(if at_rest == posed {
@@ -51,7 +52,7 @@ pub fn stillness_warning(frames: &mut KeptFrames, camera: &Camera) -> Result<Opt
              it was driven, the stream is frozen, this is another recording, or everything in view moves with the \
              camera (a bumper, something over the lens)"
         ))
-    } else if stood_still && at_rest as f64 >= MIN_SHARE * posed as f64 {
+    } else if stood_still > 0 && at_rest as f64 >= MIN_SHARE * posed as f64 {
         Some(format!(
             "what was tracked stands still in the image in {at_rest} of {count} frames; if the camera was driven, that \
              is a part of the carrier and not the ground, and the path is wrong: --mask with that part in black leaves \

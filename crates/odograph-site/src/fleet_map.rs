@@ -4,14 +4,17 @@ use crate::protocol::{MapFromOdom, SessionDescription};
 use crate::record::Record;
 use odograph::camera::Camera;
 use odograph::error::{Error, Result};
+use odograph::fixed_pattern::{FixedPattern, ImageMask};
 use odograph::ground_map::{
     GroundMap, KeyframeImage, KeyframeImages, KeyframeStore, MapKeyframe, MountedCamera,
 };
+use odograph::image::GrayImage;
 use odograph::keyframe::{EdgeKind, KeyframeId, MapEdge};
 use odograph::odometry::{NewKeyframe, OdometryConfig};
 use odograph::slam::{FleetMapper, SessionScale};
 use odograph_map::{MapClaim, MapFile, SessionOrigin, StoredImage};
 use std::collections::{BTreeMap, BTreeSet};
+use std::sync::Arc;
 
 /// A session of the map.
 #[derive(Debug, Clone)]
@@ -36,7 +39,13 @@ pub struct FleetMap {
     store: MapStore,
     mapper: FleetMapper,
     sessions: BTreeMap<SessionOrigin, MappedSession>,
+    /// What is static in the images of the newest sessions, by session.
+    fixed: BTreeMap<u32, FixedPattern>,
 }
+
+/// Sessions whose static regions are learned at a time, a megabyte or two each: more than there are
+/// robots in a hall. A session beyond these learns anew from what the map knows.
+const LEARNING: usize = 64;
 
 impl FleetMap {
     /// Opens the map of a site. `None` if there is none yet.
@@ -59,14 +68,15 @@ impl FleetMap {
             sessions.insert(origin, MappedSession { session: session.id, keyframes, camera });
         }
         let mapper = FleetMapper::new(map, &OdometryConfig::default());
-        Ok(Some(Self { store: MapStore { file, waiting: None }, mapper, sessions }))
+        Ok(Some(Self { store: MapStore { file, waiting: None }, mapper, sessions, fixed: BTreeMap::new() }))
     }
 
     /// Makes the map of a site for its first session.
     pub fn create(claim: &MapClaim, first: &SessionDescription) -> Result<Self> {
         let file = MapFile::create_claimed(claim.clone(), &first.camera, &first.rig)?;
         let mapper = FleetMapper::new(file.map()?, &OdometryConfig::default());
-        Ok(Self { store: MapStore { file, waiting: None }, mapper, sessions: BTreeMap::new() })
+        let (sessions, fixed) = (BTreeMap::new(), BTreeMap::new());
+        Ok(Self { store: MapStore { file, waiting: None }, mapper, sessions, fixed })
     }
 
     /// A session of the map; `None` if the map has nothing of it.
@@ -96,6 +106,7 @@ impl FleetMap {
         let picture = image
             .decode((camera.width(), camera.height()))
             .map_err(|why| Error::input(format!("the image of keyframe {} {why}", head.number)))?;
+        let mask = self.mask(&origin, session, &picture.gray);
         let (frame, segment, time_s) = keyframe.place_in_source();
         let new = NewKeyframe {
             id,
@@ -106,14 +117,43 @@ impl FleetMap {
             covariance: keyframe.covariance(),
             tie: None,
             image: picture.gray,
-            mask: None,
+            mask: mask.clone(),
         };
         self.store.waiting = Some((head.number, image));
+        let is_known = self.mapper.map().masks.get(&session) == mask.as_ref();
         self.mapper.add(new, session, &edges, picture.color, &mut self.store)?;
+        if !is_known {
+            self.store.file.set_mask(session, mask.as_deref())?;
+        }
         if let Some(mapped) = self.sessions.get_mut(&origin) {
             mapped.keyframes.insert(head.number, id);
         }
         Ok(())
+    }
+
+    /// What of a session's images is not ground, the next of which is given. A record does not say
+    /// it; the robot itself may learn it later. Until that is clear, it is what was not ground in
+    /// the robot's session before.
+    fn mask(&mut self, origin: &SessionOrigin, session: u32, image: &GrayImage) -> Option<Arc<ImageMask>> {
+        while self.fixed.len() > LEARNING {
+            self.fixed.pop_first();
+        }
+        let masks = &self.mapper.map().masks;
+        let begin = || {
+            let own = self.sessions.iter().filter(|(other, _)| other.robot == origin.robot);
+            let own = own.map(|(_, mapped)| mapped.session).filter(|other| *other <= session);
+            let newest =
+                own.filter_map(|session| Some((session, masks.get(&session)?))).max_by_key(|own| own.0);
+            let fixed = FixedPattern::new((image.width(), image.height()));
+            let fits = |mask: &Arc<ImageMask>| mask.size() == (image.width(), image.height());
+            match newest.map(|(_, mask)| mask).filter(|mask| fits(mask)) {
+                Some(mask) => fixed.with_known(mask),
+                None => fixed,
+            }
+        };
+        let fixed = self.fixed.entry(session).or_insert_with(begin);
+        fixed.look(image);
+        fixed.mask().cloned()
     }
 
     /// The session in the map, which is begun where it is not there.
@@ -132,7 +172,7 @@ impl FleetMap {
 
     /// Removes everything of some sessions from the map. Returns whether there was anything.
     pub fn remove(self, gone: impl Fn(&SessionOrigin) -> bool) -> Result<(Self, bool)> {
-        let Self { mut store, mut mapper, mut sessions } = self;
+        let Self { mut store, mut mapper, mut sessions, mut fixed } = self;
         let mut numbers = BTreeSet::new();
         let mut keyframes = Vec::new();
         for (_, mapped) in sessions.iter_mut().filter(|(origin, _)| gone(origin)) {
@@ -143,11 +183,17 @@ impl FleetMap {
             store.file.remove_keyframes(&keyframes, &[])?;
         }
         // A keyframe that could not be stored is in the mapper alone.
+        for session in &numbers {
+            fixed.remove(session);
+            if mapper.map().masks.contains_key(session) {
+                store.file.set_mask(*session, None)?;
+            }
+        }
         let any = mapper.map().keyframes.iter().any(|keyframe| numbers.contains(&keyframe.session));
         if any {
             mapper = mapper.without(&numbers);
         }
-        Ok((Self { store, mapper, sessions }, any))
+        Ok((Self { store, mapper, sessions, fixed }, any))
     }
 
     /// Scale of a session relative to the map.

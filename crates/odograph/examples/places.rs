@@ -120,7 +120,7 @@ impl ExampleScene {
     fn signature(&mut self, pose: &GroundPose, otherwise_lit: bool) -> (Signature, f64) {
         let pyramid = Pyramid::new(self.picture(pose, otherwise_lit), 4);
         let begun = busy_ms();
-        let signature = Signature::of(&pyramid, &self.camera, pose, &self.config);
+        let signature = Signature::of(&pyramid, &self.camera, None, pose, &self.config);
         (signature, busy_ms() - begun)
     }
 
@@ -271,12 +271,14 @@ fn kidnapped(name: &str, seed: u64, area_m2: f64) -> Result<()> {
         camera: scene.camera.clone(),
         rig: Rig::level(HEIGHT_M),
         other_cameras: Default::default(),
+        masks: Default::default(),
         keyframes: Vec::new(),
         edges: Vec::new(),
     };
     for (number, pose) in keyframes.iter().enumerate() {
         let gray = scene.picture(pose, false);
-        let signature = Signature::of(&Pyramid::new(gray.clone(), 4), &scene.camera, pose, &scene.config);
+        let signature =
+            Signature::of(&Pyramid::new(gray.clone(), 4), &scene.camera, None, pose, &scene.config);
         let keyframe = MapKeyframe {
             id: KeyframeId(number as u64),
             session: 0,

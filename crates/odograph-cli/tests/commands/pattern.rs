@@ -70,3 +70,33 @@ fn a_pattern_is_subtracted_from_the_first_frame_on_and_a_map_is_continued_once()
     let info = String::from_utf8(info.stdout).unwrap();
     assert_eq!(info.lines().filter(|line| line.starts_with("session ")).count(), 2, "{info}");
 }
+
+#[test]
+fn a_robot_that_sees_its_bumper_is_found_by_the_ground_alone() {
+    let folder = tempfile::tempdir().unwrap();
+    let place = folder.path();
+    let drive = "simulate --texture asphalt --path straight --length 2 --speed 0.5 --size 320x240 --height 0.75 \
+                 --bumper 0.25 -q";
+    odograph(&format!("{drive} -o here"), place);
+    odograph("run here/frames --fps 30 --camera here/camera.yaml --height 0.75 -o run -q", place);
+    let program = env!("CARGO_BIN_EXE_odograph");
+    let truth = fs::read_to_string(place.join("here/truth.tum")).unwrap();
+    let truth: Vec<f64> = truth
+        .lines()
+        .filter(|line| !line.starts_with('#'))
+        .map(|line| line.split(' ').nth(1).unwrap().parse().unwrap())
+        .collect();
+    for frame in [10, 47, 100] {
+        let picture = format!("localize here/frames/{frame:06}.png --map run/map.gpkg --json");
+        let done = Command::new(program).args(picture.split(' ')).current_dir(place).output().unwrap();
+        let found: Value = serde_json::from_slice(&done.stdout).unwrap();
+        let x_m = found["place"]["x_m"].as_f64().unwrap();
+        assert!((x_m - truth[frame]).abs() < 1e-3, "{frame}: {found}");
+    }
+    // Rendered again from the map, too.
+    odograph("map mosaic run/map.gpkg -o mosaic.png", place);
+    let info =
+        Command::new(program).args(["map", "info", "run/map.gpkg"]).current_dir(place).output().unwrap();
+    let info = String::from_utf8(info.stdout).unwrap();
+    assert!(info.contains(" % of its images is masked: it does not show the ground"), "{info}");
+}

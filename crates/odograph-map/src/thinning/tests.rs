@@ -45,6 +45,7 @@ fn map(count: u64, edges: Vec<MapEdge>) -> GroundMap {
         camera: Camera::from_field_of_view((64, 48), (0.8, 0.6), 1.0).unwrap(),
         rig: Rig::level(1.0),
         other_cameras: BTreeMap::new(),
+        masks: BTreeMap::new(),
         keyframes: (0..count).map(keyframe).collect(),
         edges,
     }

@@ -2,6 +2,7 @@
 
 use crate::ground;
 use odograph::camera::Rig;
+use odograph::fixed_pattern::ImageMask;
 use odograph::geometry::GroundPose;
 use odograph::ground_map::KeyframeImage;
 use odograph::image::GrayImage;
@@ -72,6 +73,45 @@ fn exposure_and_vignetting_are_compensated() {
     let (least, greatest) =
         (ratios[ratios.len() / 50] / median, ratios[ratios.len() - 1 - ratios.len() / 50] / median);
     assert!(least > 0.96 && greatest < 1.04, "{least:.3} to {greatest:.3} of {median:.3}");
+}
+
+#[test]
+fn what_a_mask_covers_is_not_in_the_mosaic() {
+    // A bumper in the lower third of every image: white, which the ground never is.
+    let covered = 160 * 80..160 * 120;
+    let picture = |mask: Option<&ImageMask>| {
+        let folder = tempfile::tempdir().unwrap();
+        let path = folder.path().join("map.gpkg");
+        let mut map = MapFile::create(&path, &ground::camera(), &Rig::level(0.5)).unwrap();
+        let session = map.begin_session("drive.mp4").unwrap();
+        for number in 0..12 {
+            let mut image = ground::image(number);
+            image.gray.samples_mut()[covered.clone()].fill(255);
+            map.add_keyframe(&ground::keyframe(number, session), &image, &[]).unwrap();
+        }
+        map.set_mask(session, mask).unwrap();
+        map.render_mosaic(Some(0.004), &mut |_| true).unwrap();
+        map.mosaic_picture(usize::MAX).unwrap().unwrap()
+    };
+    let mut shown = GrayImage::new(160, 120);
+    shown.samples_mut()[..covered.start].fill(255);
+    let (without, with) = (picture(None), picture(Some(&ImageMask::from_picture(&shown))));
+    let seen = |picture: &MosaicPicture| picture.rgba.chunks(4).filter(|pixel| pixel[3] > 0).count();
+    let white = |picture: &MosaicPicture| {
+        picture.rgba.chunks(4).filter(|pixel| pixel[3] > 0 && pixel[0] > 240).count()
+    };
+    assert!(10 * white(&without) > seen(&without), "{} of {}", white(&without), seen(&without));
+    assert_eq!(white(&with), 0);
+    assert!(2 * seen(&with) > seen(&without));
+    // No darker or brighter margin is left along the mask: the brightness of both is that of the
+    // ground.
+    let gray = |picture: &MosaicPicture| {
+        let ground = windows(picture).into_iter().map(|(_, gray)| gray).filter(|gray| *gray < 200.0);
+        let grays: Vec<f64> = ground.collect();
+        grays.iter().sum::<f64>() / grays.len() as f64
+    };
+    let even = mosaic(|_, image| image, ground::pose);
+    assert!((gray(&with) / gray(&even) - 1.0).abs() < 0.02, "{} {}", gray(&with), gray(&even));
 }
 
 #[test]

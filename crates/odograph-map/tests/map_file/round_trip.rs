@@ -51,6 +51,7 @@ fn a_map_round_trips() {
         camera: camera(),
         rig: rig(),
         other_cameras: Default::default(),
+        masks: Default::default(),
         keyframes: (0..8).map(|number| keyframe(number, 0)).collect(),
         edges: (1..8).map(edge_to).collect(),
     };

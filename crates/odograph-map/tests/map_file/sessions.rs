@@ -2,6 +2,7 @@
 
 use crate::ground::{camera, edge_to, image, keyframe, pose};
 use odograph::camera::{Camera, Distortion, LeverArm, Rig};
+use odograph::fixed_pattern::ImageMask;
 use odograph::ground_map::{KeyframeImage, KeyframeImages, MountedCamera};
 use odograph::image::GrayImage;
 use odograph::keyframe::{EdgeKind, KeyframeId, MapEdge};
@@ -91,6 +92,42 @@ fn sessions_keep_their_own_camera_and_origin() {
     assert!(map.render_mosaic(None, &mut |_| true).unwrap());
     map.remove_keyframes(&[KeyframeId(1)], &[]).unwrap();
     assert_eq!(map.number_of(KeyframeId(1)).unwrap(), None);
+}
+
+/// A mask of the lower half of this camera's images.
+fn lower_half(camera: &Camera) -> ImageMask {
+    let (width, height) = (camera.width(), camera.height());
+    let mut shown = GrayImage::new(width, height);
+    shown.samples_mut()[..width * height / 2].fill(255);
+    ImageMask::from_picture(&shown)
+}
+
+#[test]
+fn masks_of_sessions_are_kept_until_they_are_removed() {
+    let folder = tempfile::tempdir().unwrap();
+    let [path, saved] = ["map.gpkg", "saved.gpkg"].map(|name| folder.path().join(name));
+    with_two_cameras(&path);
+    let masks = |path: &Path| MapFile::open_read_only(path).unwrap().map().unwrap().masks;
+    assert!(masks(&path).is_empty());
+    let mut map = MapFile::open(&path).unwrap();
+    let ground = map.map().unwrap();
+    let [first, second] = [0, 1].map(|session| lower_half(ground.camera_of(session)));
+    map.set_mask(0, Some(&first)).unwrap();
+    map.set_mask(1, Some(&second)).unwrap();
+    map.close().unwrap();
+    assert_eq!(*masks(&path)[&0], first);
+    assert_eq!(*masks(&path)[&1], second);
+    repair(&path, &saved, &mut || true).unwrap();
+    assert_eq!(masks(&saved), masks(&path));
+    let mut map = MapFile::open(&path).unwrap();
+    map.remove_session(1).unwrap();
+    assert_eq!(map.map().unwrap().masks.keys().collect::<Vec<_>>(), [&0]);
+    map.set_mask(0, None).unwrap();
+    assert!(map.map().unwrap().masks.is_empty());
+    // A picture that is no mask of this camera.
+    map.set_mask(0, Some(&ImageMask::from_picture(&GrayImage::new(40, 40)))).unwrap();
+    let sentence = map.map().unwrap_err().to_string();
+    assert!(sentence.contains("the mask of session 0 has 40x40 pixels, not "), "{sentence}");
 }
 
 #[test]

@@ -232,7 +232,8 @@ impl Finishing<'_> {
         // The map comes after the trajectories because it may not fit on the disk; later outputs
         // are written even then.
         let frames = improved.corrected.as_mut().unwrap_or(&mut self.tracked.frames);
-        if let Err(error) = self.tracked.mapping.save(frames) {
+        let mask = self.tracked.fixed.mask.as_ref();
+        if let Err(error) = self.tracked.mapping.save(frames, mask) {
             self.fail("the map is not where the trajectories are", error);
         }
         let frames = improved.corrected.as_mut().unwrap_or(&mut self.tracked.frames);

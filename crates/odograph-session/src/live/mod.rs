@@ -253,6 +253,7 @@ impl LiveRun {
         let lens_is_known = output.map.path().is_some_and(MapFile::is_there);
         let odometry = RecalibratedOdometry::online(&plan, lens_is_known)?;
         let mapping = Mapping::new(&plan, &folder, &output)?;
+        let odometry = odometry.expecting(mapping.expected_mask());
         let recorder = Recorder::new(folder, &plan)?;
         let log = mcap.map(|path| McapLog::new(&path, &info.description, input.policy)).transpose()?;
         let ending = Ending {

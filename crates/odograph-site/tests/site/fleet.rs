@@ -127,6 +127,34 @@ fn robots_with_different_cameras_share_a_map_and_a_wrong_one_is_quarantined() {
 }
 
 #[test]
+fn robots_that_see_their_bumpers_are_connected_by_the_ground_alone() {
+    let folder = tempfile::tempdir().unwrap();
+    let place = folder.path().join("site");
+    let [one, beside, elsewhere] = [("one", (0.0, 0.0)), ("four", (0.1, 0.12)), ("five", (0.0, 40.0))]
+        .map(|(name, from)| Robot::with_bumper(name, from));
+    let served = Served::new(&place, any_port());
+    for robot in [&one, &beside, &elsewhere] {
+        served.send(robot, &robot.drive(folder.path()));
+    }
+    assert_eq!(
+        [&one, &beside, &elsewhere].map(|robot| served.session(robot)["connected"] == true),
+        [true, true, false]
+    );
+    assert!(served.session(&beside)["loops"].as_u64().unwrap() >= 2);
+    let map = MapFile::open_read_only(&place.join("map.gpkg")).unwrap().map().unwrap();
+    for session in 0..3 {
+        let share = map.masks[&session].share();
+        assert!((share - 0.25).abs() < 0.08, "session {session}: {share}");
+    }
+    // The features are those of the ground.
+    for keyframe in map.keyframes.iter().filter(|keyframe| keyframe.frame > 60) {
+        let lowest =
+            keyframe.signature.features.iter().map(|feature| feature.position_m[0]).fold(0.0, f32::min);
+        assert!(lowest > -0.25, "{lowest} m");
+    }
+}
+
+#[test]
 fn a_robot_goes_on_when_the_site_comes_back() {
     let folder = tempfile::tempdir().unwrap();
     let place = folder.path().join("site");

@@ -4,6 +4,7 @@ use odograph::camera::{Camera, Distortion, Rig};
 use odograph::error::Result;
 use odograph::geometry::GroundPose;
 use odograph::ground_map::{KeyframeImage, KeyframeImages, KeyframeStore, MapKeyframe};
+use odograph::image::GrayImage;
 use odograph::keyframe::{KeyframeId, MapEdge};
 use odograph::loop_closure::LoopClosureConfig;
 use odograph::odometry::{Odometry, OdometryConfig};
@@ -29,6 +30,8 @@ pub struct Robot {
     pub told_m: f64,
     /// Begin, heading and number of frames of its lane.
     pub lane: ((f64, f64), f64, usize),
+    /// Whether its bumper covers the lowest quarter of its images.
+    pub sees_bumper: bool,
 }
 
 fn camera(size: (usize, usize), focal_px: f64) -> Camera {
@@ -39,13 +42,32 @@ fn camera(size: (usize, usize), focal_px: f64) -> Camera {
 impl Robot {
     pub fn first() -> Self {
         let camera = camera((320, 240), 250.0);
-        Self { name: "one", camera, height_m: HEIGHT_M, told_m: HEIGHT_M, lane: ((0.0, 0.0), 0.0, 100) }
+        Self {
+            name: "one",
+            camera,
+            height_m: HEIGHT_M,
+            told_m: HEIGHT_M,
+            lane: ((0.0, 0.0), 0.0, 100),
+            sees_bumper: false,
+        }
     }
 
     /// With another camera, higher up, on a lane back beside the first one's.
     pub fn second() -> Self {
         let camera = camera((400, 300), 330.0);
-        Self { name: "two", camera, height_m: 0.9, told_m: 0.9, lane: ((3.2, -0.15), 3.0, 70) }
+        Self {
+            name: "two",
+            camera,
+            height_m: 0.9,
+            told_m: 0.9,
+            lane: ((3.2, -0.15), 3.0, 70),
+            sees_bumper: false,
+        }
+    }
+
+    /// As the first, beside it or from elsewhere, with the same bumper in view as others.
+    pub fn with_bumper(name: &'static str, from: (f64, f64)) -> Self {
+        Self { name, lane: (from, 0.0, 100), sees_bumper: true, ..Self::first() }
     }
 
     /// As the second, with a height that is wrong by 6 %.
@@ -83,7 +105,10 @@ impl Robot {
         let renderer = Renderer::new(&self.camera);
         let mut store = Store(file);
         for frame in 0..frames {
-            let image = renderer.gray_view(&GROUND, &self.pose(0.04 * frame as f64));
+            let mut image = renderer.gray_view(&GROUND, &self.pose(0.04 * frame as f64));
+            if self.sees_bumper {
+                cover_with_bumper(&mut image);
+            }
             odometry.process(image, frame as f64 / 15.0).unwrap();
             for event in odometry.take_keyframe_events() {
                 mapper.take(event, None, &mut store).unwrap();
@@ -92,6 +117,15 @@ impl Robot {
         mapper.finish();
         store.0.close().unwrap();
         path
+    }
+}
+
+/// Draws a bumper, rough all over, into the lowest quarter of an image.
+fn cover_with_bumper(image: &mut GrayImage) {
+    let (width, height) = (image.width(), image.height());
+    for (index, sample) in image.samples_mut().iter_mut().enumerate().skip(width * height / 4 * 3) {
+        let patch = (index % width / 5 + 1000 * (index / width / 5)) as u64;
+        *sample = 40 + (patch.wrapping_mul(0x9E37_79B9_7F4A_7C15) >> 57) as u8;
     }
 }
 

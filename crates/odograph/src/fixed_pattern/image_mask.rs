@@ -40,6 +40,16 @@ impl ImageMask {
         mask.with_patches()
     }
 
+    /// The mask of a picture that [`ImageMask::picture`] has made, without dilation.
+    pub fn from_own_picture(picture: &GrayImage) -> Self {
+        let mut mask = Self::nothing((picture.width(), picture.height()));
+        for (at, covered) in mask.covered.iter_mut().enumerate() {
+            let (column, row) = (at % mask.columns, at / mask.columns);
+            *covered = picture.row(row * CELL_PX)[column * CELL_PX] < 128;
+        }
+        mask.counted()
+    }
+
     /// The mask dilated by the radius of a patch.
     pub(super) fn with_patches(mut self) -> Self {
         let rows = self.covered.len() / self.columns;

@@ -248,7 +248,7 @@ const OWN_DIRECTIONS: f32 = 0.008;
 
 /// A static thing continues where this part of the cells within `HIDING_REACH` is static and hides
 /// the ground, whatever the directions there, as over the stripes of a bumper. A joint beside it is
-/// narrow: with [`REACH`], six of the thirteen cells across. Chosen on one bumper with stripes.
+/// narrow: with [`REACH`], six of the thirteen cells across. Chosen on two bumpers with stripes.
 const HIDING_REACH: usize = 6;
 const HIDING_SHARE: f32 = 0.6;
 
@@ -392,9 +392,9 @@ impl GradientStatistics {
             };
             *fixed = has(TWO_DIRECTIONS, &self.shape) && has(OWN_DIRECTIONS, &self.around);
         }
-        self.continue_where_ground_is_hidden();
-        for _ in 0..GROWN_CELLS {
-            self.widen(true);
+        self.grow();
+        if self.continue_where_ground_is_hidden() {
+            self.grow();
         }
         self.widen(false);
         self.continue_to_the_border();
@@ -414,22 +414,34 @@ impl GradientStatistics {
         }
     }
 
-    /// Continues the static cells over all cells around which the ground is hidden.
-    fn continue_where_ground_is_hidden(&mut self) {
+    /// Dilates the static cells by those next to them that pass the weaker criterion.
+    fn grow(&mut self) {
+        for _ in 0..GROWN_CELLS {
+            self.widen(true);
+        }
+    }
+
+    /// Continues the static cells over all near cells around which the ground is hidden. Returns
+    /// whether there are any: their border, where ground is near, is not among them.
+    fn continue_where_ground_is_hidden(&mut self) -> bool {
+        let mut continues = false;
         mean_around(&mut self.hides, &mut self.along[0], (self.columns, self.rows), HIDING_REACH);
         let mut open: Vec<usize> = (0..self.fixed.len()).filter(|&at| self.fixed[at]).collect();
         while let Some(at) = open.pop() {
-            let (column, row) = (at % self.columns, at / self.columns);
-            for row in row.saturating_sub(1)..(row + 2).min(self.rows) {
-                for column in column.saturating_sub(1)..(column + 2).min(self.columns) {
+            let near =
+                |at: usize, end: usize| at.saturating_sub(HIDING_REACH)..(at + HIDING_REACH + 1).min(end);
+            for row in near(at / self.columns, self.rows) {
+                for column in near(at % self.columns, self.columns) {
                     let next = row * self.columns + column;
                     if !self.fixed[next] && self.hides[next] > HIDING_SHARE {
                         self.fixed[next] = true;
+                        continues = true;
                         open.push(next);
                     }
                 }
             }
         }
+        continues
     }
 
     /// The static cells that were found.

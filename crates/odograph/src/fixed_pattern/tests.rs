@@ -98,6 +98,32 @@ fn a_bumper_is_masked_within_ten_frames_and_little_else() {
     }
 }
 
+/// Overlays the lowest quarter of an image, and a part that protrudes from it, with diagonal
+/// stripes.
+fn with_stripes(mut image: GrayImage) -> GrayImage {
+    for (at, sample) in image.samples_mut().iter_mut().enumerate() {
+        let (x, y) = (at % 320, at / 320);
+        if y >= if (80..120).contains(&x) { 165 } else { 180 } {
+            *sample = if (x + y) / 12 % 2 == 0 { 40 } else { 190 };
+        }
+    }
+    image
+}
+
+#[test]
+fn a_striped_bumper_is_masked_as_a_whole() {
+    for texture in ["concrete", "asphalt", "carpet", "grass"] {
+        let driving: Vec<GrayImage> = images(texture, drive(16)).into_iter().map(with_stripes).collect();
+        let fixed = learned(driving);
+        let mask = fixed.mask().expect("found");
+        let pixels = || (0..320 * 240).map(|at| (at % 320, at / 320));
+        let left = pixels().filter(|&(x, y)| y >= 190 && !mask.covers(x, y)).count();
+        assert_eq!(left, 0, "{texture}");
+        let ground = pixels().filter(|&(x, y)| y < 140 && mask.covers(x, y)).count();
+        assert_eq!(ground, 0, "{texture}");
+    }
+}
+
 #[test]
 fn a_given_mask_is_dilated_by_the_patch_radius() {
     let mut picture = GrayImage::new(320, 240);

@@ -8,11 +8,13 @@ mod images;
 pub use images::{KeyframeImage, KeyframeImages, KeyframeStore, MemoryImages};
 
 use crate::camera::{Camera, Rig};
+use crate::fixed_pattern::ImageMask;
 use crate::geometry::{GroundPose, Sim2};
 use crate::keyframe::{KeyframeId, MapEdge};
 use crate::place_recognition::Signature;
 use nalgebra::Matrix6;
 use std::collections::BTreeMap;
+use std::sync::Arc;
 
 /// A frame whose image is part of the map.
 #[derive(Debug, Clone, PartialEq)]
@@ -62,6 +64,8 @@ pub struct GroundMap {
     pub rig: Rig,
     /// The sessions that were made with another camera or mount, by session number.
     pub other_cameras: BTreeMap<u32, MountedCamera>,
+    /// What of the images is not ground, of each session where anything is.
+    pub masks: BTreeMap<u32, Arc<ImageMask>>,
     /// The keyframes in order of their numbers; a thinned map lacks some numbers.
     pub keyframes: Vec<MapKeyframe>,
     /// The edges in order of their creation.
@@ -77,6 +81,13 @@ impl GroundMap {
     /// The mount of a session's camera at its start.
     pub fn rig_of(&self, session: u32) -> &Rig {
         self.other_cameras.get(&session).map_or(&self.rig, |other| &other.rig)
+    }
+
+    /// The mask that a new image of the first session's camera most likely needs: that of the
+    /// newest session with this camera.
+    pub fn newest_mask(&self) -> Option<&Arc<ImageMask>> {
+        let has_it = |keyframe: &&MapKeyframe| *self.camera_of(keyframe.session) == self.camera;
+        self.masks.get(&self.keyframes.iter().rev().find(has_it)?.session)
     }
 
     /// Whether all keyframes were taken with the same camera; mounts may differ.

@@ -51,6 +51,7 @@ pub struct ReferenceKeyframe {
     pyramid: Pyramid,
     /// Height, roll and pitch as measured; the position is irrelevant.
     pose: GroundPose,
+    mask: Option<Arc<ImageMask>>,
     view: Option<GroundView>,
 }
 
@@ -79,8 +80,6 @@ pub struct Guess {
 pub struct Matcher {
     cameras: Vec<MatcherCamera>,
     config: OdometryConfig,
-    /// Mask of the static regions in the images of the camera that is mapping.
-    mask: Option<Arc<ImageMask>>,
 }
 
 /// What depends on the camera.
@@ -105,7 +104,7 @@ impl MatcherCamera {
 
 impl Matcher {
     pub fn new(camera: &Camera, config: &OdometryConfig) -> Self {
-        Self { cameras: vec![MatcherCamera::new(camera, config)], config: *config, mask: None }
+        Self { cameras: vec![MatcherCamera::new(camera, config)], config: *config }
     }
 
     /// The index of a camera; one that is not known yet is added.
@@ -121,19 +120,16 @@ impl Matcher {
         &self.cameras[camera.0]
     }
 
-    /// Sets the mask of static regions, which are no evidence of a place.
-    pub fn set_mask(&mut self, mask: Option<Arc<ImageMask>>) {
-        self.mask = mask;
-    }
-
     /// The signature of a query for place recognition.
     pub fn signature(&self, query: &QueryKeyframe, config: &PlacesConfig) -> Signature {
         let QueryKeyframe { camera, keyframe } = query;
-        Signature::of(&keyframe.pyramid, &self.of(*camera).camera, &keyframe.pose, config)
+        let mask = keyframe.mask.as_deref();
+        Signature::of(&keyframe.pyramid, &self.of(*camera).camera, mask, &keyframe.pose, config)
     }
 
-    /// Prepares a query keyframe with its height, roll and pitch.
-    pub fn query(&self, image: GrayImage, at: &CameraPose) -> QueryKeyframe {
+    /// Prepares a query keyframe with its height, roll and pitch. What the mask covers is no
+    /// evidence of a place.
+    pub fn query(&self, image: GrayImage, at: &CameraPose, mask: Option<&Arc<ImageMask>>) -> QueryKeyframe {
         let pyramid = Pyramid::new(image, self.config.flow.levels);
         let here = at_origin(&at.pose);
         QueryKeyframe {
@@ -142,17 +138,24 @@ impl Matcher {
                 pyramid,
                 here,
                 Matrix6::zeros(),
-                self.mask.as_ref(),
+                mask,
                 &self.of(at.camera).camera,
                 &self.config.detection,
             ),
         }
     }
 
-    /// Prepares a reference keyframe with its height, roll and pitch.
-    pub fn reference(&self, image: GrayImage, at: &CameraPose) -> ReferenceKeyframe {
+    /// Prepares a reference keyframe with its height, roll and pitch. What the mask covers is no
+    /// evidence of a place.
+    pub fn reference(
+        &self,
+        image: GrayImage,
+        at: &CameraPose,
+        mask: Option<&Arc<ImageMask>>,
+    ) -> ReferenceKeyframe {
         let pyramid = Pyramid::new(image, self.config.flow.levels);
-        ReferenceKeyframe { camera: at.camera, pyramid, pose: at_origin(&at.pose), view: None }
+        let (pose, mask) = (at_origin(&at.pose), mask.cloned());
+        ReferenceKeyframe { camera: at.camera, pyramid, pose, mask, view: None }
     }
 
     /// The overlap: the share of a keyframe's view, with height, roll and pitch of `from`, that is
@@ -247,18 +250,17 @@ impl Matcher {
         registered: &LoopSighting,
     ) -> Option<Likeness> {
         let QueryKeyframe { camera, keyframe } = query;
-        let mask = self.mask.as_deref();
         let here = RegisteredImage {
             camera: &self.of(*camera).camera,
             pyramid: &keyframe.pyramid,
             pose: keyframe.pose,
-            mask,
+            mask: keyframe.mask.as_deref(),
         };
         let there = RegisteredImage {
             camera: &self.of(reference.camera).camera,
             pyramid: &reference.pyramid,
             pose: registered.pose,
-            mask,
+            mask: reference.mask.as_deref(),
         };
         Likeness::of(&here, &there)
     }
@@ -282,7 +284,7 @@ impl Matcher {
         if spread(corners) < 2.0 * (UNMODELLED_PX * pixel_m).powi(2) {
             return None;
         }
-        let image = DenseImage::new(reference.pyramid.base()).without(self.mask.clone());
+        let image = DenseImage::new(reference.pyramid.base()).without(reference.mask.clone());
         let prior = learned.rig_prior.prior(&found.prediction, motion);
         let reference = keyframe.dense(&self.of(query.camera).camera);
         let whole = dense::refine(camera, reference, &image, &corners.pose, &prior, motion)?;
@@ -335,7 +337,8 @@ impl Matcher {
         let registration = &self.of(query.camera).registration;
         query.keyframe.prepare_view(registration);
         if reference.view.is_none() {
-            reference.view = registration.view(&reference.pyramid, self.mask.as_deref(), &reference.pose);
+            reference.view =
+                registration.view(&reference.pyramid, reference.mask.as_deref(), &reference.pose);
         }
         let (Some(from), Some(to)) = (query.keyframe.view(), &reference.view) else { return Vec::new() };
         let options = CoarseOptions {
@@ -408,8 +411,8 @@ mod tests {
             let heading_rad = 2.6 * turn;
             let there = GroundPose { x_m: here.x_m + 0.2 * cos, y_m: 0.2 * sin, heading_rad, ..here };
             let at = |pose: GroundPose| CameraPose { camera: CameraIndex::default(), pose };
-            let query = matcher.query(picture(&here), &at(here));
-            let reference = matcher.reference(picture(&there), &at(there));
+            let query = matcher.query(picture(&here), &at(here), None);
+            let reference = matcher.reference(picture(&there), &at(there), None);
             let truth = relative_motion(&here, &there);
             let expected = truth + Vector4::new(0.004 * cos, -0.004 * sin, 0.006 * sin, 0.0);
             let found = matcher.find(&query, &reference, &expected, 8.0).expect("in view");

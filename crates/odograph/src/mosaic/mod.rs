@@ -280,7 +280,7 @@ impl Mosaic {
         self.tiles.begin_revision();
         (0..halvings).for_each(|_| self.tiles = self.tiles.halved());
         let level = (sample_m.recip() * resolution_m).log2().round().clamp(0.0, 8.0) as u32;
-        self.samples.take(image, level);
+        self.samples.take(image, self.mask.as_ref(), level);
         let columns = block(low.x_m, resolution_m)..block(high.x_m, resolution_m) + 1;
         let rows = block(-high.y_m, resolution_m)..block(-low.y_m, resolution_m) + 1;
         let blocks = Blocks { columns, rows };

@@ -3,10 +3,10 @@
 
 use super::Mosaic;
 use super::footprint::{GroundCamera, GroundSample};
+use super::sampling::FrameSamples;
 use super::tiles::{Lookup, TILE};
 use crate::camera::Camera;
-use crate::fixed_pattern::ImageMask;
-use crate::geometry::{GroundPoint, Pixel};
+use crate::geometry::GroundPoint;
 use crate::image::simd::ground::{Feather, LANES, Places, orthorectify_eight};
 use crate::numerics::median;
 use std::ops::Range;
@@ -63,9 +63,6 @@ impl Mosaic {
                     continue;
                 };
                 let middle = (0.25 * (a.x + b.x + c.x + d.x), 0.25 * (a.y + b.y + c.y + d.y));
-                if self.is_masked(middle.0, middle.1) {
-                    continue;
-                }
                 let Some(new) = self.samples.at::<N>(middle.0, middle.1) else { continue };
                 let Some(old) = self.tiles.colour(column * BLOCK + BLOCK / 2, row * BLOCK + BLOCK / 2) else {
                     continue;
@@ -82,11 +79,6 @@ impl Mosaic {
             let usual = median(&mut ratios).filter(|_| ratios.len() >= 24);
             usual.map_or(1.0, |ratio| ratio.powf(GAIN_SHARE).clamp(0.5, 2.0) as f32)
         })
-    }
-
-    /// Whether a place in the image, full pixels, shows something else than the ground.
-    fn is_masked(&self, x: f32, y: f32) -> bool {
-        self.mask.as_ref().is_some_and(|mask| mask.covers_pixel(Pixel::new(f64::from(x), f64::from(y))))
     }
 
     /// Adds the frame to all blocks. Returns whether any ground was changed.
@@ -116,7 +108,6 @@ impl Mosaic {
                     continue;
                 }
                 let (left, top) = (column * BLOCK, row * BLOCK);
-                let mask = self.mask.as_deref();
                 let tile = &mut *self.tiles.at(&mut lookup, left, top);
                 let (in_x, in_y) = (left.rem_euclid(TILE) as usize, top.rem_euclid(TILE) as usize);
                 for j in 0..BLOCK as usize {
@@ -128,8 +119,8 @@ impl Mosaic {
                         }
                         _ => row_by_itself(view, resolution_m, left, top + j as i64),
                     };
-                    if let Some(mask) = mask {
-                        leave_out(mask, &mut places);
+                    if self.samples.has_mask() {
+                        leave_out_masked(&self.samples, &mut places);
                     }
                     covered |= orthorectify_eight(&frame, &places, pixels);
                 }
@@ -159,10 +150,10 @@ fn row_by_itself(view: &GroundCamera<'_>, resolution_m: f64, left: i64, row: i64
     places
 }
 
-/// Moves the places that a mask covers out of the image.
-fn leave_out(mask: &ImageMask, places: &mut Places) {
+/// Moves the masked places out of the image.
+fn leave_out_masked(samples: &FrameSamples, places: &mut Places) {
     for (x, y) in places.x.iter_mut().zip(&places.y) {
-        if mask.covers_pixel(Pixel::new(f64::from(*x), f64::from(*y))) {
+        if samples.is_masked(*x, *y) {
             *x = f32::NAN;
         }
     }

@@ -1,7 +1,10 @@
 //! The frame being added, reduced to the resolution of the ground, with bilinear sampling.
 
 use super::MosaicSource;
+use crate::fixed_pattern::ImageMask;
+use crate::geometry::Pixel;
 use crate::image::simd::ground::{Feather, UnrectifiedFrame};
+use std::sync::Arc;
 
 /// A frame's samples, one or three channels, halved `level` times.
 #[derive(Debug, Clone, Default)]
@@ -18,6 +21,8 @@ pub(super) struct FrameSamples {
     bottom: f32,
     samples: Vec<u8>,
     spare: Vec<u8>,
+    /// What of the full image is not ground.
+    mask: Option<Arc<ImageMask>>,
 }
 
 impl FrameSamples {
@@ -31,8 +36,9 @@ impl FrameSamples {
     }
 
     /// Takes a frame, halved `level` times (fewer where it has no pixels left to halve) by means of
-    /// 2 × 2 pixels.
-    pub fn take(&mut self, image: MosaicSource<'_>, level: u32) {
+    /// 2 × 2 pixels. What the mask covers has the mean colour of the rest, so that it hardly shows
+    /// in the means along its border.
+    pub fn take(&mut self, image: MosaicSource<'_>, mask: Option<&Arc<ImageMask>>, level: u32) {
         let (width, height, channels, samples) = match image {
             MosaicSource::Gray(gray) => (gray.width(), gray.height(), 1, gray.samples()),
             MosaicSource::Rgb(rgb) => (rgb.width(), rgb.height(), 3, rgb.samples()),
@@ -41,6 +47,10 @@ impl FrameSamples {
         self.full = (width, height);
         self.samples.clear();
         self.samples.extend_from_slice(samples);
+        self.mask = mask.cloned();
+        if let Some(mask) = mask {
+            self.fill(mask);
+        }
         for _ in 0..level {
             if self.width < 4 || self.height < 4 {
                 break;
@@ -58,6 +68,36 @@ impl FrameSamples {
         gains: [f32; N],
     ) -> Option<UnrectifiedFrame<'_, N>> {
         UnrectifiedFrame::new(&self.samples, (self.width, self.height), self.scale, feather, gains)
+    }
+
+    /// Gives what the mask covers the mean colour of the rest. The samples are those of the full
+    /// image.
+    fn fill(&mut self, mask: &ImageMask) {
+        let (width, n) = (self.width, self.channels);
+        let (mut sums, mut count) = ([0u64; 3], 0u64);
+        for (at, pixel) in self.samples.chunks_exact(n).enumerate() {
+            if !mask.covers(at % width, at / width) {
+                sums.iter_mut().zip(pixel).for_each(|(sum, &sample)| *sum += u64::from(sample));
+                count += 1;
+            }
+        }
+        let mean = sums.map(|sum| (sum / count.max(1)) as u8);
+        for (at, pixel) in self.samples.chunks_exact_mut(n).enumerate() {
+            if mask.covers(at % width, at / width) {
+                pixel.copy_from_slice(&mean[..n]);
+            }
+        }
+    }
+
+    /// Whether a pixel of the full image is known not to show the ground.
+    #[inline]
+    pub fn is_masked(&self, x: f32, y: f32) -> bool {
+        self.mask.as_ref().is_some_and(|mask| mask.covers_pixel(Pixel::new(f64::from(x), f64::from(y))))
+    }
+
+    /// Whether anything is masked.
+    pub fn has_mask(&self) -> bool {
+        self.mask.is_some()
     }
 
     fn halve(&mut self) {
@@ -83,9 +123,12 @@ impl FrameSamples {
     }
 
     /// The bilinear sample at a pixel of the full image; `None` outside the centres of its
-    /// outermost pixels.
+    /// outermost pixels and where it is masked.
     #[inline]
     pub fn at<const N: usize>(&self, x: f32, y: f32) -> Option<[f32; N]> {
+        if self.is_masked(x, y) {
+            return None;
+        }
         let (x, y) = self.reduced(x, y);
         let inside = x >= 0.0 && y >= 0.0 && x <= self.right && y <= self.bottom;
         if !(inside && self.width > 1 && self.height > 1) {

@@ -36,7 +36,7 @@ const STRONG: f32 = 3.0;
 const MORE_GROUND: (f64, f64) = (0.1, 1.7);
 
 /// The features of a view.
-pub(super) fn features(view: &OrthoView, config: &PlacesConfig) -> Vec<GroundFeature> {
+pub(super) fn features(view: &OrthoView<'_>, config: &PlacesConfig) -> Vec<GroundFeature> {
     let usual = (PlacesConfig::SPOTS.0 * PlacesConfig::SPOTS.1) as f64;
     let share = (view.area / usual).clamp(MORE_GROUND.0, MORE_GROUND.1);
     let count = (share * config.features as f64) as usize;
@@ -63,15 +63,21 @@ struct Smooth {
 }
 
 impl Smooth {
-    fn new(view: &OrthoView) -> Self {
+    fn new(view: &OrthoView<'_>) -> Self {
         let (width, height) = (view.image.width(), view.image.height());
         let samples: Vec<i32> = view.image.samples().iter().map(|&sample| i32::from(sample)).collect();
         let near = box_sums(&samples, width, height, SMOOTHING);
         let far = box_sums(&samples, width, height, SURROUNDINGS);
         let near_area = (2 * SMOOTHING + 1).pow(2) as f32;
         let share = near_area / (2 * SURROUNDINGS + 1).pow(2) as f32;
-        let sums =
+        let mut sums: Vec<i16> =
             near.iter().zip(&far).map(|(&near, &far)| (near as f32 - share * far as f32) as i16).collect();
+        if view.has_mask() {
+            // No corners of a bumper in place of some of the ground.
+            let place = |at: usize| ((at % width) as f32, (at / width) as f32);
+            let masked = sums.iter_mut().enumerate().filter(|(at, _)| view.is_masked(place(*at)));
+            masked.for_each(|(_, sum)| *sum = 0);
+        }
         Self { width, sums, disc: disc(width) }
     }
 
@@ -96,7 +102,7 @@ impl Smooth {
         median(&mut sizes).unwrap_or(0.0) as f32
     }
 
-    fn feature(&self, view: &OrthoView, corner: &Corner) -> GroundFeature {
+    fn feature(&self, view: &OrthoView<'_>, corner: &Corner) -> GroundFeature {
         let centre = corner.y * self.width + corner.x;
         let (right, down) = self.moment(centre);
         // In the view, x is up and y is left.

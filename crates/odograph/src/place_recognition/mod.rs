@@ -40,6 +40,7 @@ mod tests;
 pub use index::{PlaceHypothesis, PlaceIndex};
 
 use crate::camera::Camera;
+use crate::fixed_pattern::ImageMask;
 use crate::geometry::GroundPose;
 use crate::image::Pyramid;
 use serde::{Deserialize, Serialize};
@@ -95,11 +96,17 @@ impl PlacesConfig {
 }
 
 impl Signature {
-    /// The signature of the ground in an image. Only height, roll and pitch of the pose are used.
-    /// The pyramid should reach down to pixels of about a spot; with fewer levels fine grain
-    /// disturbs. Empty if the ground has no features.
-    pub fn of(pyramid: &Pyramid, camera: &Camera, pose: &GroundPose, config: &PlacesConfig) -> Self {
-        let Some(view) = view::OrthoView::new(pyramid, camera, pose, config.spot_m) else {
+    /// The signature of the ground in an image, outside the mask. Only height, roll and pitch of
+    /// the pose are used. The pyramid should reach down to pixels of about a spot; with fewer
+    /// levels fine grain disturbs. Empty if the ground has no features.
+    pub fn of(
+        pyramid: &Pyramid,
+        camera: &Camera,
+        mask: Option<&ImageMask>,
+        pose: &GroundPose,
+        config: &PlacesConfig,
+    ) -> Self {
+        let Some(view) = view::OrthoView::new(pyramid, camera, mask, pose, config.spot_m) else {
             return Self::default();
         };
         Self { features: descriptor::features(&view, config) }

@@ -1,6 +1,7 @@
 use super::*;
 use crate::camera::Distortion;
 use crate::geometry::wrap_angle;
+use crate::image::GrayImage;
 use crate::keyframe::KeyframeId;
 use crate::motion::Random;
 use crate::simulation::{Ground, Renderer, Texture};
@@ -28,13 +29,18 @@ impl TestScene {
     }
 
     fn signature(&mut self, pose: &GroundPose) -> Signature {
+        let image = self.image(pose);
+        Signature::of(&Pyramid::new(image, 3), &camera(), None, pose, &PlacesConfig::new(&camera(), HEIGHT_M))
+    }
+
+    fn image(&mut self, pose: &GroundPose) -> GrayImage {
         let mut image = self.renderer.gray_view(&self.ground, pose);
         for sample in image.samples_mut() {
             // The sum of four uniform numbers of 5.2 gray levels each deviates by 3.
             let noise: f64 = (0..4).map(|_| self.random.below(1 << 16) as f64 / 65536.0 - 0.5).sum();
             *sample = (f64::from(*sample) + 5.2 * noise).round().clamp(0.0, 255.0) as u8;
         }
-        Signature::of(&Pyramid::new(image, 3), &camera(), pose, &PlacesConfig::new(&camera(), HEIGHT_M))
+        image
     }
 }
 
@@ -103,6 +109,38 @@ fn unseen_tiles_are_not_recognised() {
 }
 
 #[test]
+fn what_a_mask_covers_is_no_feature_of_a_place() {
+    let (mut scene, config) = (TestScene::new(Texture::Asphalt), PlacesConfig::new(&camera(), HEIGHT_M));
+    // The robot's own bumper, as rough as the ground, is in the lower third of every image.
+    let covered = 320 * 160..320 * 240;
+    let bumper = scene.image(&pose(-9.0, 9.0, 0.0)).samples()[covered.clone()].to_vec();
+    let mut shown = GrayImage::new(320, 240);
+    shown.samples_mut()[..covered.start].fill(255);
+    let mask = ImageMask::from_picture(&shown);
+    let mut signature = |pose: &GroundPose, mask: Option<&ImageMask>| {
+        let mut image = scene.image(pose);
+        image.samples_mut()[covered.clone()].copy_from_slice(&bumper);
+        Signature::of(&Pyramid::new(image, 3), &camera(), mask, pose, &config)
+    };
+    let evidence = |found: &[PlaceHypothesis]| found.iter().map(|one| one.worth).fold(0.0, f64::max);
+    let [mut open, mut masked] = [PlaceIndex::new(&config), PlaceIndex::new(&config)];
+    for (number, keyframe) in keyframes().iter().enumerate() {
+        open.insert(KeyframeId(number as u64), &signature(keyframe, None));
+        masked.insert(KeyframeId(number as u64), &signature(keyframe, Some(&mask)));
+    }
+    for (number, keyframe) in keyframes().iter().enumerate() {
+        let elsewhere = pose(f64::from(number as u32), -7.0, 1.0);
+        let with = evidence(&masked.query(&signature(&elsewhere, Some(&mask)), 3));
+        let without = evidence(&open.query(&signature(&elsewhere, None), 3));
+        assert!(with < 0.2 * without, "foreign ground: {with} with a mask, {without} without");
+        let near =
+            GroundPose { x_m: keyframe.x_m + 0.1, heading_rad: keyframe.heading_rad + 0.4, ..*keyframe };
+        let found = masked.query(&signature(&near, Some(&mask)), 3);
+        assert!(found[0].keyframe == KeyframeId(number as u64) && found[0].is_sure(), "{found:?}");
+    }
+}
+
+#[test]
 fn what_is_removed_is_not_found_and_the_others_are() {
     let mut scene = TestScene::new(Texture::Grass);
     let mut index = PlaceIndex::new(&PlacesConfig::new(&camera(), HEIGHT_M));
@@ -130,12 +168,12 @@ fn what_is_removed_is_not_found_and_the_others_are() {
 #[test]
 fn a_blank_image_has_an_empty_signature() {
     let config = PlacesConfig::new(&camera(), HEIGHT_M);
-    let blank = Pyramid::new(crate::image::GrayImage::new(320, 240), 3);
-    let signature = Signature::of(&blank, &camera(), &pose(0.0, 0.0, 0.0), &config);
+    let blank = Pyramid::new(GrayImage::new(320, 240), 3);
+    let signature = Signature::of(&blank, &camera(), None, &pose(0.0, 0.0, 0.0), &config);
     assert_eq!(signature, Signature::default());
     assert!(PlaceIndex::new(&config).query(&signature, 5).is_empty());
     let sideways = GroundPose { roll_rad: 1.5, ..pose(0.0, 0.0, 0.0) };
-    assert_eq!(Signature::of(&blank, &camera(), &sideways, &config), Signature::default());
+    assert_eq!(Signature::of(&blank, &camera(), None, &sideways, &config), Signature::default());
 }
 
 prop_compose! {

@@ -1,6 +1,7 @@
 //! The orthorectified view of the ground, a sample per spot.
 
 use crate::camera::Camera;
+use crate::fixed_pattern::ImageMask;
 use crate::geometry::{GroundPoint, GroundPose, Pixel};
 use crate::image::{GrayImage, Pyramid};
 
@@ -18,11 +19,13 @@ const REACH_IN_HEIGHTS: f64 = 2.5;
 
 /// A picture of the ground from straight above: rows run against x (forward is up), columns against
 /// y (left is left).
-pub(super) struct OrthoView {
+pub(super) struct OrthoView<'a> {
     /// One sample a spot; outside the camera's image, what its border shows.
     pub image: GrayImage,
-    /// Share of the view that the camera's image covers, in spots.
+    /// Ground in the camera's image and within the view, in spots.
     pub area: f64,
+    /// What of the camera's image is not ground.
+    mask: Option<&'a ImageMask>,
     spot_m: f64,
     /// Of the sample at the top left, metres from the point below the camera.
     corner_m: (f64, f64),
@@ -37,9 +40,15 @@ struct Mesh {
     last: [f32; 2],
 }
 
-impl OrthoView {
+impl<'a> OrthoView<'a> {
     /// `None` where less than 64 spots of ground are seen along a side.
-    pub fn new(pyramid: &Pyramid, camera: &Camera, pose: &GroundPose, spot_m: f64) -> Option<Self> {
+    pub fn new(
+        pyramid: &Pyramid,
+        camera: &Camera,
+        mask: Option<&'a ImageMask>,
+        pose: &GroundPose,
+        spot_m: f64,
+    ) -> Option<Self> {
         const LEAST: usize = 64;
         let pose = GroundPose { x_m: 0.0, y_m: 0.0, heading_rad: 0.0, ..*pose };
         let (low, high) = footprint(camera, &pose)?;
@@ -54,17 +63,40 @@ impl OrthoView {
         let mesh = Mesh::new(camera, &pose, (width, height), corner_m, spot_m);
         let spot_px = mesh.pixels_per_spot(width, height);
         let image = mesh.sampled(pyramid, spot_px, (width, height));
-        let area = (camera.width() * camera.height()) as f64 / (spot_px * spot_px);
-        Some(Self { image, area: area.min((width * height) as f64), spot_m, corner_m, mesh })
+        let seen = (camera.width() * camera.height()) as f64 / (spot_px * spot_px);
+        let open = 1.0 - mask.map_or(0.0, ImageMask::share);
+        let area = open * seen.min((width * height) as f64);
+        Some(Self { image, area, mask, spot_m, corner_m, mesh })
     }
 
-    /// Whether the camera's image covers a disc of `radius` spots around a sample.
+    /// Whether the camera's image shows the ground in a disc of `radius` spots around a sample.
     pub fn sees(&self, (column, row): (usize, usize), radius: f32) -> bool {
-        (0..8).all(|eighth| {
-            let (sin, cos) = (eighth as f32 * std::f32::consts::FRAC_PI_4).sin_cos();
-            let [x, y] = self.mesh.pixel(column as f32 + radius * cos, row as f32 + radius * sin);
+        let place = (column as f32, row as f32);
+        let around = |radius: f32| {
+            (0..8).map(move |eighth| {
+                let (sin, cos) = (eighth as f32 * std::f32::consts::FRAC_PI_4).sin_cos();
+                (place.0 + radius * cos, place.1 + radius * sin)
+            })
+        };
+        let is_inside = |(column, row): (f32, f32)| {
+            let [x, y] = self.mesh.pixel(column, row);
             x >= 0.0 && y >= 0.0 && x <= self.mesh.last[0] && y <= self.mesh.last[1]
+        };
+        around(radius).all(is_inside)
+            && !around(radius).chain(around(0.5 * radius)).chain([place]).any(|at| self.is_masked(at))
+    }
+
+    /// Whether a place of the view is known not to show the ground.
+    pub fn is_masked(&self, (column, row): (f32, f32)) -> bool {
+        self.mask.is_some_and(|mask| {
+            let [x, y] = self.mesh.pixel(column, row);
+            mask.covers_pixel(Pixel::new(f64::from(x), f64::from(y)))
         })
+    }
+
+    /// Whether some of the camera's image is known not to show the ground.
+    pub fn has_mask(&self) -> bool {
+        self.mask.is_some()
     }
 
     /// Where a sample lies from the point below the camera: forward and to the left, metres.

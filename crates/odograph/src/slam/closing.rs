@@ -4,6 +4,7 @@ use super::Mapper;
 use super::mapper::ComparedKeyframes;
 use super::session_scale::PlaceScale;
 use crate::error::Result;
+use crate::fixed_pattern::ImageMask;
 use crate::geometry::WithCovariance;
 use crate::geometry::pose_index::LN_SCALE;
 use crate::ground_map::KeyframeStore;
@@ -14,6 +15,7 @@ use crate::loop_closure::matching::{QueryKeyframe, ReferenceKeyframe};
 use crate::loop_closure::recognition::{Recognised, recognise};
 use crate::loop_closure::{LoopClosure, verification};
 use nalgebra::{Matrix4, Vector4};
+use std::sync::Arc;
 
 /// Two matches confirm each other only on different ground: minimum distance, in widths of the
 /// view. Less lets one repeated pattern confirm itself, more waits longer for a confirmation.
@@ -124,9 +126,14 @@ impl Mapper {
         self.scales.drain(..excess);
     }
 
+    /// The mask of a keyframe's image.
+    pub(super) fn mask_of(&self, id: KeyframeId) -> Option<&Arc<ImageMask>> {
+        self.map.masks.get(&self.keyframe(id)?.session)
+    }
+
     fn reference(&self, id: KeyframeId, images: &mut dyn KeyframeStore) -> Result<Option<ReferenceKeyframe>> {
         let Some(at) = self.seen_from(id) else { return Ok(None) };
-        Ok(Some(self.matcher.reference(images.load(id)?.gray, &at)))
+        Ok(Some(self.matcher.reference(images.load(id)?.gray, &at, self.mask_of(id))))
     }
 
     /// Accepts a match together with an earlier one that confirms it; otherwise keeps it as

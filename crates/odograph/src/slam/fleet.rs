@@ -121,6 +121,7 @@ impl FleetMapper {
             .map(|keyframe| keyframe.id)
             .collect();
         map.keyframes.retain(|keyframe| !gone.contains(&keyframe.id));
+        map.masks.retain(|session, _| !sessions.contains(session));
         map.edges.retain(|edge| !gone.contains(&edge.from) && !gone.contains(&edge.to));
         let mut scales = self.scales;
         scales.retain(|session, _| !sessions.contains(session));

@@ -50,7 +50,7 @@ impl Mapper {
             )));
         }
         let at = CameraPose { camera: CameraIndex::default(), pose: *tilt };
-        let query = self.matcher.query(image, &at);
+        let query = self.matcher.query(image, &at, self.map.newest_mask());
         let signature = self.matcher.signature(&query, &self.places_config);
         // No keyframe has this number: nothing connects the image to the map.
         let new = KeyframeId(u64::MAX);
@@ -68,7 +68,8 @@ impl Mapper {
         for place in found.iter().take(self.config.comparisons) {
             let Some(known) = self.keyframe(place.id) else { continue };
             let Some(there) = self.seen_from(place.id) else { continue };
-            let reference = self.matcher.reference(images.load(place.id)?.gray, &there);
+            let reference =
+                self.matcher.reference(images.load(place.id)?.gray, &there, self.mask_of(place.id));
             let seen =
                 verification::verify_recognised(&self.matcher, &query, &reference, place, new, &self.config);
             if let Some(seen) = seen {

@@ -4,6 +4,7 @@ use super::backoff::Backoff;
 use super::session_scale::{PlaceScale, SessionScale};
 use crate::camera::{Camera, Rig};
 use crate::error::Result;
+use crate::fixed_pattern::ImageMask;
 use crate::geometry::pose_index::{HEIGHT, ROLL};
 use crate::geometry::{GroundPose, propagated};
 use crate::ground_map::{GroundMap, KeyframeImage, KeyframeStore, MapKeyframe};
@@ -18,6 +19,7 @@ use crate::place_recognition::{PlaceIndex, PlacesConfig, Signature};
 use crate::pose_graph::{Heights, PoseGraph};
 use nalgebra::Matrix6;
 use std::collections::BTreeMap;
+use std::sync::Arc;
 
 /// Builds the map of keyframes. The result depends only on the input.
 #[derive(Debug)]
@@ -101,6 +103,7 @@ impl Mapper {
                 camera: camera.clone(),
                 rig,
                 other_cameras: BTreeMap::new(),
+                masks: BTreeMap::new(),
                 keyframes: Vec::new(),
                 edges: Vec::new(),
             },
@@ -208,9 +211,10 @@ impl Mapper {
         color: Option<RgbImage>,
         images: &mut dyn KeyframeStore,
     ) -> Result<()> {
-        self.matcher.set_mask(new.mask.clone());
+        self.set_mask(session, new.mask.clone());
         let camera = self.cameras.get(&session).copied().unwrap_or_default();
-        let query = self.matcher.query(new.image.clone(), &CameraPose { camera, pose: new.pose });
+        let at = CameraPose { camera, pose: new.pose };
+        let query = self.matcher.query(new.image.clone(), &at, new.mask.as_ref());
         let signature = self.matcher.signature(&query, &self.places_config);
         let id = self.insert(&new, session, edges, signature);
         if let Some(keyframe) = self.keyframe(id) {
@@ -225,6 +229,14 @@ impl Mapper {
             self.places.insert(id, &keyframe.signature);
         }
         Ok(())
+    }
+
+    /// Sets what of a session's images is not ground: of those that it has and of those to come.
+    fn set_mask(&mut self, session: u32, mask: Option<Arc<ImageMask>>) {
+        match mask {
+            Some(mask) => self.map.masks.insert(session, mask),
+            None => self.map.masks.remove(&session),
+        };
     }
 
     /// Number of the session's first keyframe.

@@ -64,7 +64,7 @@ pub fn merge(
             covariance: keyframe.covariance,
             tie: None,
             image: image.gray,
-            mask: None,
+            mask: other.masks.get(&keyframe.session).cloned(),
         };
         mapper.made(new, keyframe.session, &edges, image.color, images)?;
         // Its height is now that of the other map.

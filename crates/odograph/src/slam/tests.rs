@@ -477,6 +477,7 @@ fn fleet_of(second: &FleetRobot) -> FleetMapper {
         camera: first.mounted.camera.clone(),
         rig: first.mounted.rig,
         other_cameras: Default::default(),
+        masks: Default::default(),
         keyframes: Vec::new(),
         edges: Vec::new(),
     };

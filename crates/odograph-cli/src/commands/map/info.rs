@@ -83,6 +83,9 @@ struct SessionInfo {
     path_m: f64,
     /// Whether its run did not end, and left no path.
     unfinished: bool,
+    /// Fraction of its images that does not show the ground, 0 to 1; left out where there is none.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    masked: Option<f64>,
     start_s: Option<f64>,
     end_s: Option<f64>,
     /// The robot that recorded it, if it has a name.
@@ -160,6 +163,7 @@ fn gathered(file: &MapFile) -> Result<MapInfo> {
                 frames: path.len(),
                 path_m: length_m(&path),
                 unfinished: unfinished.contains(&session.id),
+                masked: map.masks.get(&session.id).map(|mask| mask.share()),
                 start_s: path.first().map(|frame| frame.time_s),
                 end_s: path.last().map(|frame| frame.time_s),
             })
@@ -314,6 +318,13 @@ fn describe_session(session: &SessionInfo, info: &MapInfo, text: &mut String) {
     );
     if session.unfinished {
         let _ = writeln!(text, "           {}", unfinished(info));
+    }
+    if let Some(share) = session.masked {
+        let _ = writeln!(
+            text,
+            "           {:.0} % of its images is masked: it does not show the ground",
+            100.0 * share
+        );
     }
     if let Some(origin) = &session.origin {
         let numbers = match (origin.first_number, origin.last_number) {

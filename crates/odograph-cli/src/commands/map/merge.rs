@@ -150,6 +150,12 @@ fn join(mut file: MapFile, path: &Path, arguments: &MergeArguments) -> Result<(M
         let new = sessions.iter().find(|(old, _)| *old == keyframe.session);
         keyframe.session = new.map_or(keyframe.session, |(_, new)| *new);
     }
+    for (old, mask) in std::mem::take(&mut added.masks) {
+        let new = sessions.iter().find(|(session, _)| *session == old);
+        let new = new.map_or(old, |(_, new)| *new);
+        file.set_mask(new, Some(&mask))?;
+        added.masks.insert(new, mask);
+    }
     let before = added.keyframes.clone();
     let mut odometry = OdometryConfig::default();
     odometry.motion.model = arguments.motion.into();

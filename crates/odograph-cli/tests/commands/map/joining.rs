@@ -68,7 +68,7 @@ fn map_of(path: &Path, truth: &[GroundPose], known: &[GroundPose], edges: &[MapE
             odometry_pose: *known,
             pose: *known,
             covariance: Matrix6::zeros(),
-            signature: Signature::of(&Pyramid::new(gray.clone(), 4), &camera, known, &config),
+            signature: Signature::of(&Pyramid::new(gray.clone(), 4), &camera, None, known, &config),
         };
         let own: Vec<MapEdge> = edges.iter().filter(|e| e.from.max(e.to) == keyframe.id).copied().collect();
         map.add_keyframe(&keyframe, &KeyframeImage { gray, color: None }, &own).unwrap();

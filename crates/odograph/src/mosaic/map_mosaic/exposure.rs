@@ -10,6 +10,7 @@ use super::super::footprint::GroundCamera;
 use super::PlacedKeyframe;
 use crate::camera::Camera;
 use crate::error::Result;
+use crate::fixed_pattern::ImageMask;
 use crate::geometry::Pixel;
 use crate::ground_map::{KeyframeImage, KeyframeImages};
 use crate::numerics::median;
@@ -81,7 +82,8 @@ struct Overlap {
     log_ratio: [f64; 3],
 }
 
-/// A keyframe's image in a few large cells: red, green, blue each.
+/// A keyframe's image in a few large cells: red, green, blue each; NaN where more than half of a
+/// cell is masked.
 struct Thumbnail(Vec<[f32; 3]>);
 
 impl Gains {
@@ -93,7 +95,7 @@ impl Gains {
     ) -> Result<Self> {
         let mut thumbnails = Vec::with_capacity(keyframes.len());
         for placed in keyframes {
-            thumbnails.push(Thumbnail::of(&images.load(placed.id)?));
+            thumbnails.push(Thumbnail::of(&images.load(placed.id)?, placed.mask.as_deref()));
         }
         let pairs = pairs(keyframes);
         let lens = |(index, camera): (usize, &Camera)| {
@@ -135,7 +137,7 @@ impl Gains {
 }
 
 impl Thumbnail {
-    fn of(image: &KeyframeImage) -> Self {
+    fn of(image: &KeyframeImage, mask: Option<&ImageMask>) -> Self {
         let (width, height) = (image.gray.width(), image.gray.height());
         let cell = |k: usize| {
             let (column, row) = (k % CELLS.0, k / CELLS.0);
@@ -145,18 +147,19 @@ impl Thumbnail {
             );
             let (top, bottom) =
                 (row * height / CELLS.1, ((row + 1) * height / CELLS.1).max(row * height / CELLS.1 + 1));
-            let mut sum = [0.0_f32; 3];
+            let (mut sum, mut count) = ([0.0_f32; 3], 0);
             for y in top..bottom.min(height) {
-                for x in left..right.min(width) {
+                for x in (left..right.min(width)).filter(|&x| mask.is_none_or(|mask| !mask.covers(x, y))) {
                     let pixel = match &image.color {
                         Some(color) => color.pixel(x, y),
                         None => [image.gray.row(y)[x]; 3],
                     };
                     (0..3).for_each(|c| sum[c] += f32::from(pixel[c]));
+                    count += 1;
                 }
             }
-            let count = ((right - left) * (bottom - top)) as f32;
-            sum.map(|sum| sum / count)
+            let is_known = 2 * count >= (right - left) * (bottom - top);
+            sum.map(|sum| if is_known { sum / count as f32 } else { f32::NAN })
         };
         Self((0..CELLS.0 * CELLS.1).map(cell).collect())
     }
@@ -247,8 +250,8 @@ fn shared(
         let pixel = centre_of(camera, k);
         let look = view.look(one.pose.ground_from_ray(camera.ray_from_pixel(pixel)?)?)?;
         let seen = thumbnails.1.at((look.x + 0.5) / width, (look.y + 0.5) / height)?;
-        let known =
-            (0..3).all(|c| f64::from(own[c]).min(seen[c]) > 8.0 && f64::from(own[c]).max(seen[c]) < 247.0);
+        let is_exposed = |value: f64| value > 8.0 && value < 247.0;
+        let known = (0..3).all(|c| is_exposed(f64::from(own[c])) && is_exposed(seen[c]));
         known.then(|| CommonGround {
             pixels: [[pixel.x as f32, pixel.y as f32], [look.x as f32, look.y as f32]],
             log_ratio: [0, 1, 2].map(|c| (f64::from(own[c]) / seen[c]).ln()),

@@ -16,6 +16,7 @@ use super::footprint::{Footprint, GroundCamera};
 use super::tiles::TILE;
 use crate::camera::Camera;
 use crate::error::Result;
+use crate::fixed_pattern::ImageMask;
 use crate::geometry::GroundPose;
 use crate::ground_map::{GroundMap, KeyframeImages};
 use crate::keyframe::KeyframeId;
@@ -25,6 +26,7 @@ use images::Images;
 use patch::MosaicPatch;
 use std::collections::BTreeMap;
 use std::ops::Range;
+use std::sync::Arc;
 
 /// Side of a tile of the mosaic, ground pixels.
 pub const MOSAIC_TILE_PX: usize = TILE as usize;
@@ -53,6 +55,8 @@ struct PlacedKeyframe {
     /// Index of its camera.
     camera: usize,
     pose: GroundPose,
+    /// What of its image is not ground.
+    mask: Option<Arc<ImageMask>>,
     /// Side of the ground that a pixel in the middle of its image sees, metres.
     sample_m: f64,
     /// Least and greatest x and y of its footprint, metres.
@@ -99,6 +103,7 @@ impl MapMosaic {
                     id: keyframe.id,
                     camera: index,
                     pose: keyframe.pose,
+                    mask: map.masks.get(&keyframe.session).cloned(),
                     sample_m: view.centre_resolution_m(),
                     bounds: [low.x_m, low.y_m, high.x_m, high.y_m],
                 })
@@ -161,7 +166,7 @@ impl MapMosaic {
             self.patch.orthorectify(
                 image,
                 &view,
-                placed.bounds,
+                placed,
                 self.gains.of(index),
                 self.gains.darkening(placed.camera),
             );

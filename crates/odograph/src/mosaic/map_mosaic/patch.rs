@@ -11,7 +11,7 @@ use super::super::sampling::FrameSamples;
 use super::super::tiles::TILE;
 use super::super::{BLOCK, MosaicSource};
 use super::exposure::Darkening;
-use super::{MosaicTile, PATCH};
+use super::{MosaicTile, PATCH, PlacedKeyframe};
 use crate::geometry::GroundPoint;
 use crate::ground_map::KeyframeImage;
 use crate::mosaic::orthorectification::BlockCorner;
@@ -54,13 +54,12 @@ impl MosaicPatch {
         self.sums.resize(SIDE * SIDE, PixelSums::default());
     }
 
-    /// Adds an image that shows the ground within `bounds` (least x and y, greatest x and y,
-    /// metres), with a gain for each channel and its vignetting corrected.
+    /// Adds the image of a keyframe, with a gain for each channel and its vignetting corrected.
     pub fn orthorectify(
         &mut self,
         image: &KeyframeImage,
         view: &GroundCamera<'_>,
-        bounds: [f64; 4],
+        placed: &PlacedKeyframe,
         gains: [f32; 3],
         darkening: Darkening,
     ) {
@@ -69,12 +68,13 @@ impl MosaicPatch {
             Some(color) => MosaicSource::Rgb(color),
             None => MosaicSource::Gray(&image.gray),
         };
-        self.samples.take(source, level);
+        let mask = placed.mask.as_ref();
+        self.samples.take(source, mask, level);
         let shorter = image.gray.width().min(image.gray.height());
         // Cells of about a twelfth of the image's shorter side.
         let cells = (shorter as f64 / 12.0).log2().round().max(0.0) as u32;
-        self.coarse.take(source, cells.max(level));
-        let blocks = self.blocks_within(bounds);
+        self.coarse.take(source, mask, cells.max(level));
+        let blocks = self.blocks_within(placed.bounds);
         self.find_corners(view, &blocks);
         match self.samples.channels() {
             1 => self.orthorectify_channels::<1>(view, &blocks, gains, darkening),
