@@ -80,6 +80,34 @@ fn live_on_a_recording_gives_the_results_of_run() {
 }
 
 #[test]
+fn a_map_is_continued_and_the_pose_in_it_is_told() {
+    let place = LiveFolder::new();
+    write_uncompressed(&place.path("drive.y4m"));
+    let done = |name: &str, arguments: &str| {
+        let done = place.command(name, arguments).output().unwrap();
+        assert!(done.status.success(), "{}", String::from_utf8_lossy(&done.stderr));
+        done.stdout
+    };
+    done("run", "drive.y4m --map hall.gpkg -o monday --quiet");
+    let printed = done("live", "drive.y4m --map hall.gpkg -o tuesday --print poses --quiet");
+    let lines: Vec<serde_json::Value> =
+        printed.lines().map(|line| serde_json::from_str(&line.unwrap()).unwrap()).collect();
+    // It begins where the first run did. Both frames are the same to less than a millimetre.
+    assert!(lines[0]["map_pose"].is_null());
+    // The mapper may be some keyframes behind.
+    assert!(!lines.last().unwrap()["map_pose"].is_null());
+    for line in lines.iter().filter(|line| !line["map_pose"].is_null()) {
+        for axis in ["x_m", "y_m"] {
+            let [seen, mapped] = ["pose", "map_pose"].map(|frame| line[frame][axis].as_f64().unwrap());
+            assert!((seen - mapped).abs() < 2e-3, "{line}");
+        }
+    }
+    let figures = statistics(&place.path("tuesday"));
+    assert!(figures["loops"]["closed"].as_u64().unwrap() >= 2, "{figures}");
+    assert!(!place.path("tuesday/map.gpkg").exists());
+}
+
+#[test]
 fn a_too_fast_source_drops_frames_and_counts_them() {
     let place = LiveFolder::new();
     write_uncompressed(&place.path("drive.y4m"));

@@ -1,12 +1,33 @@
 //! Pose output for other programs.
 
+use odograph::geometry::{PlaneTransform, Sim2};
 use odograph::trajectory::FrameEstimate;
-use serde_json::json;
+use serde_json::{Value, json};
 use std::io;
 use std::net::{SocketAddr, ToSocketAddrs, UdpSocket};
 
 /// Formats a frame as one line of JSON; `docs/live.md` lists its fields.
 pub fn json_line(frame: &FrameEstimate, latency_ms: Option<f64>) -> String {
+    fields(frame, latency_ms).to_string()
+}
+
+/// As [`json_line`], with the pose in the map as `map_pose`: `null` without `map_from_odometry`, as
+/// long as the place in the map is not known.
+pub fn json_line_in_map(
+    frame: &FrameEstimate,
+    latency_ms: Option<f64>,
+    map_from_odometry: Option<&Sim2>,
+) -> String {
+    let mut fields = fields(frame, latency_ms);
+    let known = frame.estimate.as_ref().zip(map_from_odometry);
+    fields["map_pose"] = known.map_or(Value::Null, |(known, map_from_odometry)| {
+        let pose = map_from_odometry.apply_to_pose(&known.pose);
+        json!({ "x_m": pose.x_m, "y_m": pose.y_m, "heading_rad": pose.heading_rad })
+    });
+    fields.to_string()
+}
+
+fn fields(frame: &FrameEstimate, latency_ms: Option<f64>) -> Value {
     let pose = frame.estimate.as_ref().map(|known| {
         let (pose, velocity) = (&known.pose, &known.velocity);
         let covariance: Vec<Vec<f64>> =
@@ -35,7 +56,6 @@ pub fn json_line(frame: &FrameEstimate, latency_ms: Option<f64>) -> String {
         "latency_ms": latency_ms,
         "pose": pose,
     })
-    .to_string()
 }
 
 /// A UDP sender: one datagram a frame, each one JSON line. Delivery is not guaranteed.

@@ -33,6 +33,7 @@ use odograph_live::capture::{Captured, Newest, Policy, Taken, Watch};
 use odograph_live::foxglove::TrackedImage;
 use odograph_live::{Hub, Phase, Status, TrackRecord, View};
 use odograph_video::Frame;
+use std::sync::atomic::{AtomicBool, Ordering};
 use std::sync::{Arc, Mutex, PoisonError};
 use std::thread;
 use std::time::{Duration, Instant};
@@ -146,6 +147,8 @@ struct Beside {
     updates: Newest<MosaicUpdate>,
     /// That of the newest keyframe in the map.
     correction: Mutex<Sim2>,
+    /// Whether the run is connected to the map that it continues.
+    is_recognised: AtomicBool,
 }
 
 impl Beside {
@@ -199,6 +202,7 @@ impl Following<'_, '_> {
             views: Newest::new(Policy::NewestWins, 1),
             updates: Newest::new(Policy::NewestWins, 1),
             correction: Mutex::new(Sim2::IDENTITY),
+            is_recognised: AtomicBool::new(mapping.mapper().map().keyframes.is_empty()),
         };
         let (beside, hub, log, policy) = (&beside, self.hub, self.log, self.policy);
         let outcome = thread::scope(|scope| {
@@ -231,6 +235,9 @@ impl Following<'_, '_> {
                         failure = mapping.take(happened.events, happened.frame.as_ref()).err();
                         if let Some(correction) = map_frame::newest_correction(mapping) {
                             beside.correct(correction);
+                        }
+                        if !beside.is_recognised.load(Ordering::Relaxed) {
+                            beside.is_recognised.store(mapping.mapper().is_recognised(), Ordering::Relaxed);
                         }
                         if ground.is_shown() {
                             updates.publish_markers(mapping);
@@ -286,7 +293,8 @@ impl Following<'_, '_> {
         if let Some(poses) = &mut self.poses {
             let of = self.tracker.pose_frames.at(frame.number);
             let map_from_odometry = beside.map_from_odometry();
-            poses.take(&LiveFrame { estimate: &seen, of, latency_ms, map_from_odometry })?;
+            let is_recognised = beside.is_recognised.load(Ordering::Relaxed);
+            poses.take(&LiveFrame { estimate: &seen, of, latency_ms, map_from_odometry, is_recognised })?;
         }
         self.observer.frame(&seen);
         self.recorder.record(&seen);

@@ -17,6 +17,8 @@ pub struct LiveFrame<'a> {
     pub latency_ms: f64,
     /// The correction that loops have made so far. The map may be a few keyframes behind.
     pub map_from_odometry: Sim2,
+    /// Whether its place in the map that is continued is known; true where the map is a new one.
+    pub is_recognised: bool,
 }
 
 /// Receives poses as soon as they are known.

@@ -16,7 +16,7 @@ use odograph::error::Result;
 use odograph_live::Phase;
 use odograph_report::HtmlReporter;
 use odograph_session::live::{LiveOptions, folder_name_now};
-use odograph_session::{RunBuilder, SourcePlan};
+use odograph_session::{MapUse, RunBuilder, SourcePlan};
 use outputs::Outputs;
 use ros2::{Ros2Arguments, Ros2Run};
 pub use serving::{Offer, ServeArguments, Serving};
@@ -59,6 +59,12 @@ pub struct LiveArguments {
     pub mcap: Option<PathBuf>,
     #[command(flatten)]
     pub site: SiteLinkArguments,
+    /// Map file: continued where it exists, otherwise begun.
+    ///
+    /// Poses are in its frame as soon as its ground is recognised. [default: a new map.gpkg in the
+    /// folder]
+    #[arg(help_heading = "Results", long, value_name = "FILE")]
+    pub map: Option<PathBuf>,
     /// Folder for the results. [default: live- and the date and time]
     #[arg(help_heading = "Results", short, long, value_name = "FOLDER")]
     pub output: Option<PathBuf>,
@@ -83,6 +89,7 @@ Examples:
   odograph live drive.mp4 --realtime --camera camera.yaml --height 1.20 --serve 8080
   odograph live /dev/video0 --camera camera.yaml --rig rig.toml --print poses | robot
   odograph live drive.mp4 --camera camera.yaml --height 1.20 --mcap drive.mcap -o drive/
+  odograph live /dev/video0 --camera camera.yaml --height 1.20 --map hall.gpkg --print poses | robot
   odograph live /dev/video0 --camera camera.yaml --height 1.20 --gnss /dev/ttyACM0 -o field/
   odograph live /dev/video0 --camera camera.yaml --height 1.20 --site http://hall:8137/ --robot cart";
 
@@ -100,6 +107,7 @@ impl LiveArguments {
         let source = SourcePlan { fps: self.capture.fps, ..SourcePlan::new(&self.source) };
         let run = RunBuilder::over(source).folder(folder).overwriting(self.force).reporter(HtmlReporter);
         let run = self.site.robot.iter().fold(run, RunBuilder::robot);
+        let run = self.map.iter().fold(run, |run, map| run.map(MapUse::Continue(map.clone())));
         self.markers.of_run(self.mounted.of_run(run))
     }
 }
@@ -124,7 +132,8 @@ pub fn live(arguments: LiveArguments) -> Result<Outcome> {
         Some(ros2) => ros2.open(arguments.builder(), &options, &observer, &mut outputs)?,
         None => arguments.builder().sensors(files).open_live(&options, &observer)?,
     };
-    let link = arguments.site.start(&run.folder().join("map.gpkg"), run.folder(), arguments.quiet)?;
+    let map = arguments.map.clone().unwrap_or_else(|| run.folder().join("map.gpkg"));
+    let link = arguments.site.start(&map, run.folder(), arguments.quiet)?;
     outputs.tell_losses_to(link.clone());
     let serving = Serving::start(&arguments.serve, Arc::clone(run.hub()), Offer::of_run(run.folder()))?;
     if !arguments.quiet {

@@ -4,12 +4,14 @@ use super::{LiveArguments, Print};
 use crate::commands::site::RobotLink;
 use crate::console;
 use odograph::error::{Error, Result};
-use odograph_live::stream::{Datagrams, json_line};
+use odograph_live::stream::{Datagrams, json_line, json_line_in_map};
 use odograph_session::live::{LiveFrame, PoseSink};
 
 /// Outputs of poses besides folder and page.
 pub struct Outputs {
     print: bool,
+    /// Whether lines have the pose in the map.
+    continues_map: bool,
     datagrams: Option<Datagrams>,
     site: Option<RobotLink>,
     /// Another receiver of poses: ROS 2.
@@ -27,6 +29,7 @@ impl Outputs {
         });
         Ok(Self {
             print: arguments.print == Some(Print::Poses),
+            continues_map: arguments.map.is_some(),
             datagrams: datagrams.transpose()?,
             site: None,
             published: None,
@@ -58,7 +61,11 @@ impl PoseSink for Outputs {
         if !self.print && self.datagrams.is_none() {
             return Ok(());
         }
-        let line = json_line(frame.estimate, Some(frame.latency_ms)) + "\n";
+        let LiveFrame { estimate, latency_ms, ref map_from_odometry, is_recognised, .. } = *frame;
+        let line = match self.continues_map {
+            true => json_line_in_map(estimate, Some(latency_ms), is_recognised.then_some(map_from_odometry)),
+            false => json_line(estimate, Some(latency_ms)),
+        } + "\n";
         if let Some(datagrams) = &self.datagrams {
             datagrams.send(&line);
         }
