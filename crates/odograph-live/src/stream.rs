@@ -1,6 +1,6 @@
 //! Pose output for other programs.
 
-use odograph::geometry::{PlaneTransform, Sim2};
+use odograph::geometry::Sim2;
 use odograph::trajectory::FrameEstimate;
 use serde_json::{Value, json};
 use std::io;
