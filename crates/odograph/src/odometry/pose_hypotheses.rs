@@ -50,7 +50,7 @@ impl Odometry {
         if let Some(whole) =
             tracking::measure_drowned(keyframe, pyramid, camera, predictions, config, learned)
         {
-            return Ok(whole);
+            return self.or_moving(Ok(whole), pyramid, &extrapolated);
         }
         if let Some(off_px) = self.prediction_off_px(last, time_s) {
             let near = self.measure_within(keyframe, pyramid, &extrapolated, off_px);
@@ -89,8 +89,15 @@ impl Odometry {
             !found.stands_still(keyframe, &self.camera, prediction)
                 && found.estimate.inlier_count() as f64 >= least
         };
-        let moving = self.measure_within(keyframe, pyramid, prediction, NEAR_PX).ok().filter(moves);
-        let Some(moving) = moving else { return measured };
+        let (camera, config, learned) = (&self.camera, &self.config, &self.learned);
+        let random = &mut Random::new(self.frames);
+        // Also where the whole image was registered.
+        let moving =
+            tracking::measure_corners(keyframe, pyramid, camera, prediction, NEAR_PX, config, learned, random);
+        let Some(moving) = moving.filter(moves) else { return measured };
+        if still.agreement.is_some() {
+            return Ok(moving);
+        }
         let tracks = still.found.iter().zip(&still.estimate.inliers);
         let fixed = tracks.filter(|(_, inlier)| **inlier).map(|(found, _)| found.corner).collect();
         Ok(moving.beside(fixed, keyframe))

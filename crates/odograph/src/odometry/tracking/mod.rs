@@ -88,13 +88,9 @@ pub fn measure_near(
         // the skew of a rolling shutter.
         let whole = || measure_whole(keyframe, pyramid, camera, prediction, config, learned);
         let by_corners = |random: &mut Random| {
-            if keyframe.corners.len() < 2 * config.motion.minimum_inliers {
-                return Err(LossReason::Jump);
-            }
-            let corners = search(keyframe, pyramid, camera, prediction, off_px, config, learned, random);
-            let found = fit_pose(keyframe, corners, camera, prediction, config, learned, random)?;
-            let agrees = found.inlier_ratio(keyframe, camera) >= LEAST_ON_FAINT;
-            if agrees { Ok(found) } else { Err(LossReason::Jump) }
+            measure_corners(keyframe, pyramid, camera, prediction, off_px, config, learned, random)
+                .filter(|found| found.inlier_ratio(keyframe, camera) >= LEAST_ON_FAINT)
+                .ok_or(LossReason::Jump)
         };
         return if learned.shutter_rolls() {
             by_corners(random).or_else(|_| whole())
@@ -108,6 +104,25 @@ pub fn measure_near(
         search(keyframe, pyramid, camera, prediction, off_px, config, learned, random)
     };
     fit_pose(keyframe, found, camera, prediction, config, learned, random)
+}
+
+/// Measures a frame by the corners of a keyframe, whatever its texture; `None` where it has too few
+/// or too few agree.
+pub fn measure_corners(
+    keyframe: &Keyframe,
+    pyramid: &Pyramid,
+    camera: &Camera,
+    prediction: &GroundPose,
+    off_px: f64,
+    config: &OdometryConfig,
+    learned: &Learned,
+    random: &mut Random,
+) -> Option<Measurement> {
+    if keyframe.corners.len() < 2 * config.motion.minimum_inliers {
+        return None;
+    }
+    let corners = search(keyframe, pyramid, camera, prediction, off_px, config, learned, random);
+    fit_pose(keyframe, corners, camera, prediction, config, learned, random).ok()
 }
 
 /// On an image that looks faint this part of the corners in view must agree with a pose.

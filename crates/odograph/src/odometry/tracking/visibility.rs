@@ -51,10 +51,14 @@ impl Measurement {
         if moved_m * camera.focal_px().0 < MOVED_PX * to.height_m {
             return false;
         }
-        let agree = self.found.iter().zip(&self.estimate.inliers).filter(|(_, agrees)| **agrees);
-        let still = agree.filter(|(found, _)| {
-            found.warp.position.distance(keyframe.corners[found.corner].template.centre()) < STILL_PX
-        });
+        let corner =
+            |found: &FoundCorner| (found.warp.position, keyframe.corners[found.corner].template.centre());
+        let corners = self.found.iter().map(corner);
+        let tiles = self.tiles.iter().map(|tile| (tile.pixel, tile.reference));
+        let agree = corners.chain(tiles).zip(&self.estimate.inliers).filter(|(_, agrees)| **agrees);
+        // Tiles of a coarse level are found less exactly.
+        let still_px = STILL_PX.max(2.0 * self.estimate.residual_px);
+        let still = agree.filter(|((now, before), _)| now.distance(*before) < still_px);
         still.count() as f64 > MOST * self.estimate.inlier_count().max(1) as f64
     }
 }
