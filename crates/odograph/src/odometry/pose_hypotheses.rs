@@ -92,8 +92,9 @@ impl Odometry {
         let (camera, config, learned) = (&self.camera, &self.config, &self.learned);
         let random = &mut Random::new(self.frames);
         // Also where the whole image was registered.
-        let moving =
-            tracking::measure_corners(keyframe, pyramid, camera, prediction, NEAR_PX, config, learned, random);
+        let moving = tracking::measure_corners(
+            keyframe, pyramid, camera, prediction, NEAR_PX, config, learned, random,
+        );
         let Some(moving) = moving.filter(moves) else { return measured };
         if still.agreement.is_some() {
             return Ok(moving);

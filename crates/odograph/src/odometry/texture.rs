@@ -209,6 +209,7 @@ mod tests {
         assert_eq!(TextureClass::of(&checkerboard(20, 60), None), TextureClass::Clear);
         assert_eq!(TextureClass::of(&checkerboard(20, 24), None), TextureClass::Faint);
     }
+
     /// A faint dot in every square of 80 pixels: 8 in a row and 6 rows.
     fn dots() -> Pyramid {
         let mut image = GrayImage::new(640, 480);
