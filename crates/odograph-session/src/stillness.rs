@@ -5,7 +5,7 @@ use odograph::camera::Camera;
 use odograph::error::Result;
 use odograph::geometry::{GroundPoint, GroundPose, Pixel};
 use odograph::numerics::median;
-use odograph::trajectory::{LossReason, TrackStatus};
+use odograph::trajectory::{FrameEstimate, LossReason, TrackStatus};
 
 /// Largest displacement of the image at rest, pixels: this much, and this share of the median
 /// residual. Of 15 rendered recordings at rest (noise of 0 to 25 gray levels, a lamp, a bumper,
@@ -23,9 +23,13 @@ const MIN_SHARE: f64 = 0.9;
 /// tracked is likely to be a part of the carrier. Fails where the frames cannot be read back.
 pub fn stillness_warning(frames: &mut KeptFrames, camera: &Camera) -> Result<Option<String>> {
     let (count, posed) = (frames.count(), frames.posed());
+    // Where it was in the end, or when it was lost to corners that stand still.
     let mut last = None;
     frames.each(|frame, _| {
-        last = frame.estimate.as_ref().map(|known| (frame.segment, known.pose)).or(last);
+        last = match &frame.estimate {
+            Some(known) => Some((frame.segment, known.pose)),
+            None => last.filter(|_| stands_still(frame)),
+        };
         Ok(())
     })?;
     let Some((segment, last)) = last.filter(|_| posed >= 2) else { return Ok(None) };
@@ -33,7 +37,7 @@ pub fn stillness_warning(frames: &mut KeptFrames, camera: &Camera) -> Result<Opt
     let (mut moved_px, mut residuals_px) = (Vec::with_capacity(posed), Vec::with_capacity(posed));
     let mut stood_still = 0;
     frames.each(|frame, _| {
-        stood_still += usize::from(frame.status == TrackStatus::Lost { reason: LossReason::Shadow });
+        stood_still += usize::from(stands_still(frame));
         let Some(known) = &frame.estimate else { return Ok(()) };
         let is_connected = frame.segment == segment;
         moved_px.push(if is_connected { moved(camera, &seen, &known.pose) } else { f64::INFINITY });
@@ -61,6 +65,11 @@ pub fn stillness_warning(frames: &mut KeptFrames, camera: &Camera) -> Result<Opt
     } else {
         None
     })
+}
+
+/// Whether a frame was lost to corners that stand still in the image.
+fn stands_still(frame: &FrameEstimate) -> bool {
+    frame.status == TrackStatus::Lost { reason: LossReason::Shadow }
 }
 
 /// Points of the ground, and where they are in an image taken from a pose: a quarter of the image
