@@ -18,6 +18,10 @@ const NAME: &str = "odograph_session_mask";
 const TABLE: &str =
     "CREATE TABLE odograph_session_mask (session INTEGER PRIMARY KEY NOT NULL, png BLOB NOT NULL)";
 
+/// Largest number of pixels of all masks of a map, a byte for every sixteen: 4 GB, which are two
+/// hundred thousand sessions of 640x480 pixels. Damaged or hostile files could have more.
+const MOST_PIXELS: u64 = 1 << 36;
+
 /// Writes the mask of a session, or replaces it; removes it where nothing is masked.
 pub(crate) fn write(
     connection: &Connection,
@@ -51,9 +55,15 @@ pub(crate) fn read<'a>(
         .while_reading(complaint)?;
     let rows =
         statement.query_map([], in_order(|row| Ok((row.get(0)?, row.get(1)?)))).while_reading(complaint)?;
+    let mut pixels = 0;
     rows.map(|row| {
         let (session, png): (u32, Vec<u8>) = row.while_reading(complaint)?;
-        let mask = decode(&png, camera_of(session))
+        let camera = camera_of(session);
+        pixels += (camera.width() * camera.height()) as u64;
+        if pixels > MOST_PIXELS {
+            return Err(complaint.damage(format!("its masks have more than {MOST_PIXELS} pixels")));
+        }
+        let mask = decode(&png, camera)
             .map_err(|why| complaint.damage(format!("the mask of session {session} {why}")))?;
         Ok((session, Arc::new(mask)))
     })
