@@ -89,6 +89,7 @@ impl KeptFrames {
     }
 
     /// The newest frame.
+    #[cfg_attr(not(feature = "live"), allow(dead_code))]
     pub fn last(&self) -> Option<&FrameEstimate> {
         self.last.as_ref()
     }
