@@ -80,7 +80,7 @@ fn live_on_a_recording_gives_the_results_of_run() {
 }
 
 #[test]
-fn a_map_is_continued_and_the_pose_in_it_is_told() {
+fn a_map_is_continued_and_the_pose_in_it_is_printed() {
     let place = LiveFolder::new();
     write_uncompressed(&place.path("drive.y4m"));
     let done = |name: &str, arguments: &str| {

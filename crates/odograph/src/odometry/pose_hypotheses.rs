@@ -91,7 +91,7 @@ impl Odometry {
         };
         let (camera, config, learned) = (&self.camera, &self.config, &self.learned);
         let random = &mut Random::new(self.frames);
-        // Also where the whole image was registered.
+        // By corners, even where the whole image was registered onto what stands still.
         let moving = tracking::measure_corners(
             keyframe, pyramid, camera, prediction, NEAR_PX, config, learned, random,
         );

@@ -48,8 +48,8 @@ impl TextureClass {
     }
 }
 
-/// So many corners in an image without a mask make texture, and so few the crossings of joints
-/// between tiles.
+/// Least number of corners that make texture, in an image without a mask, and of strong ones such
+/// as the crossings of joints between tiles.
 const ENOUGH_CORNERS: usize = 20;
 const ENOUGH_OF_A_PATTERN: usize = 4;
 
