@@ -83,7 +83,6 @@ impl KeptFrames {
     }
 
     /// The time of the first frame, seconds.
-    #[cfg_attr(not(feature = "live"), allow(dead_code))]
     pub fn first_time_s(&self) -> Option<f64> {
         self.first_time_s
     }

@@ -2,6 +2,7 @@
 //! Trajectories are written first, because they cannot be recovered without the recording. Later
 //! failures are reported at the end, after everything else is written.
 
+mod abrupt;
 mod improvement;
 mod smoothing;
 mod statistics;
@@ -23,6 +24,7 @@ use crate::ros_bag::RosBagWriter;
 use crate::statistics::interruption;
 use crate::stillness::stillness_warning;
 use crate::{files, pictures, reference, tilt};
+use abrupt::widen_abrupt;
 use improvement::{Improved, carrier_frames};
 use odograph::error::{Error, Result};
 use odograph::filter::fusion::{SensorReport, Sensors};
@@ -140,6 +142,8 @@ impl Finishing<'_> {
     fn finish(&mut self) -> Result<RunOutcome> {
         let (plan, ending, pose_frames) = (self.plan, self.ending, self.pose_frames.clone());
         self.report_calibration()?;
+        let abrupt = widen_abrupt(&mut self.tracked.frames, self.folder.path())?;
+        self.warn(abrupt);
         let mut improved =
             Improved::new(&mut self.tracked, plan, ending.sensors, ending.gnss, self.folder.path())?;
         self.write_paths(&mut improved)?;

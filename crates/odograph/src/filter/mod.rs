@@ -5,16 +5,19 @@
 //! * [`smooth`]: fixed-interval smoother for recordings, which also interpolates through tracking
 //!   gaps;
 //! * [`carrier_path`]: low-pass filtered path of the carrier, without the vibration of its camera;
+//! * [`AbruptMotion`]: frames that no motion of a camera explains;
 //! * [`fusion`]: fusion with a gyroscope, compass, wheel odometer and range finder.
 //!
 //! Derivation: `docs/math/filter.md`.
 
+mod abrupt_motion;
 mod carrier;
 mod constant_acceleration;
 mod coordinate;
 pub mod fusion;
 mod smoother;
 
+pub use abrupt_motion::{AbruptFrame, AbruptMotion};
 pub use carrier::{CARRIER_CUTOFF_HZ, Carrier, carrier_path};
 pub use constant_acceleration::{ConstantAcceleration, Filtered};
 pub use smoother::{PoseSource, SmoothedFrame, SmoothedPath, Smoother, Walk, smooth};

@@ -11,8 +11,8 @@ use crate::image::Pyramid;
 use crate::motion::Random;
 use std::sync::Arc;
 
-/// Consecutive frames that must agree with a candidate before it is accepted: a hand passes, the
-/// floor stays.
+/// Consecutive frames that must agree with a candidate before it is accepted, dark ones aside: a
+/// hand passes, the floor stays.
 pub const CONFIRMATIONS: usize = 3;
 
 /// Number after which it is accepted even though not every remembered keyframe has been looked for.

@@ -23,6 +23,7 @@ impl Odometry {
         self.lost_frames += 1;
         self.learned.rig_prior.interrupt();
         let reason = self.cause(&pyramid, bare, reason);
+        let shows_nothing = matches!(reason, LossReason::Dark | LossReason::Bare);
         if self.standing.is_suspected() {
             // What could be found again would be what stands still, too.
             self.candidate = None;
@@ -37,6 +38,8 @@ impl Odometry {
                 }
             }
             Some(_) => {}
+            // An image without light shows nothing that speaks against the candidate.
+            None if self.candidate.is_some() && shows_nothing => {}
             None => {
                 // Placed where the camera would be at constant velocity.
                 let last = match &self.last {
