@@ -81,32 +81,40 @@ pub struct FrameReader {
     most_tracks: usize,
     /// Time and pose of every keyframe.
     keyframes: HashMap<KeyframeId, (f64, PoseRates)>,
+    /// Frames without a pose since the last one with a pose.
+    lost: usize,
 }
+
+/// After more frames than this without a pose, what comes is not tied to what was: a new segment
+/// begins after three of them at the earliest.
+const MOST_LOST: usize = 2;
 
 /// What a frame is to the adjustment.
 #[derive(Debug)]
 pub enum Read {
     /// The next frame.
     Frame(WindowFrame),
-    /// An image that repeats the one before it: it has no tracks of its own.
-    Repeated,
-    /// A frame without a pose: what comes is not tied to what was.
+    /// A frame without tracks: an image that repeats the one before it, or one that was lost.
+    Untracked,
+    /// A frame without a pose after others: what comes is not tied to what was.
     Gap,
 }
 
 impl FrameReader {
     /// With this number of tracks of each frame.
     pub fn new(most_tracks: usize) -> Self {
-        Self { most_tracks, keyframes: HashMap::new() }
+        Self { most_tracks, keyframes: HashMap::new(), lost: 0 }
     }
 
     /// Takes the next frame, the result of [`Odometry::process`], and its tracks.
     pub fn read(&mut self, frame: &FrameEstimate, odometry: &Odometry) -> Read {
         let (Some(estimate), Some(reference)) = (&frame.estimate, odometry.reference()) else {
-            return Read::Gap;
+            self.lost += 1;
+            return if self.lost > MOST_LOST { Read::Gap } else { Read::Untracked };
         };
+        self.lost = 0;
         if odometry.tracks().is_empty() {
-            return Read::Repeated;
+            return Read::Untracked;
         }
         let GroundPose { height_m, roll_rad, pitch_rad, .. } = estimate.pose;
         let plane = &estimate.measured;

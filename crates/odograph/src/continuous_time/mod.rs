@@ -94,7 +94,7 @@ impl MotionMeasurement {
     pub fn watch(&mut self, frame: &FrameEstimate, odometry: &Odometry) {
         match self.reader.read(frame, odometry) {
             Read::Frame(frame) => self.add(frame),
-            Read::Repeated => {}
+            Read::Untracked => {}
             Read::Gap => self.end_window(),
         }
     }

@@ -106,7 +106,7 @@ impl ReadoutEstimation {
                 self.frames.push(frame);
                 ends || (self.frames.len() >= self.window_frames() && self.end_window())
             }
-            Read::Repeated => false,
+            Read::Untracked => false,
             Read::Gap => self.end_window(),
         }
     }
