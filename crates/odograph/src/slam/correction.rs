@@ -6,7 +6,7 @@
 
 use super::Mapper;
 use crate::geometry::pose_index::{HEIGHT, X, Y};
-use crate::geometry::{GroundPose, PlaneTransform, Se2, Sim2, propagated};
+use crate::geometry::{GroundPose, PlaneTransform, Se2, Sim2, propagated, wrap_angle};
 use crate::ground_map::MapKeyframe;
 use crate::keyframe::KeyframeId;
 use crate::odometry::FrameReference;
@@ -71,7 +71,7 @@ impl KeyframeSpans {
 
     /// The second pass over the same frames.
     pub fn correction<'a>(&'a self, mapper: &'a Mapper) -> MapFrameCorrection<'a> {
-        MapFrameCorrection { mapper, rest: &self.spans, index: 0, group: None }
+        MapFrameCorrection { mapper, rest: &self.spans, index: 0, group: None, turned_rad: None }
     }
 }
 
@@ -84,6 +84,8 @@ pub struct MapFrameCorrection<'a> {
     index: usize,
     /// The correction of the first of them; `None` until it is needed.
     group: Option<GroupCorrection<'a>>,
+    /// By how much the last frame was turned, radians, whole turns included.
+    turned_rad: Option<f64>,
 }
 
 /// The correction of a group of frames.
@@ -107,7 +109,14 @@ impl<'a> MapFrameCorrection<'a> {
         if let (Some(known), Some(here)) = (&mut frame.estimate, group.here) {
             // The last frame of a group is where the next keyframe has it.
             let share = (index - span.first + 1) as f64 / span.count as f64;
+            let before_rad = known.pose.heading_rad;
             corrected(known, &here.map_from_odometry(), group.end.as_ref().map(|end| (end, share)), here);
+            // Keyframes are in the map but for whole turns, which add up along the path.
+            let turned_rad = known.pose.heading_rad - before_rad;
+            let nearest_rad = self.turned_rad.map_or(turned_rad, |last| last + wrap_angle(turned_rad - last));
+            known.pose.heading_rad += nearest_rad - turned_rad;
+            known.measured.heading_rad += nearest_rad - turned_rad;
+            self.turned_rad = Some(nearest_rad);
         }
         if index + 1 == span.first + span.count {
             (self.rest, self.group) = (&self.rest[1..], None);

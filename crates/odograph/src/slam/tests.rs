@@ -174,6 +174,24 @@ fn ground_seen_again_after_darkness_ties_the_path_together() {
 }
 
 #[test]
+fn whole_turns_add_up_over_a_gap_that_a_loop_closes() {
+    let world = SlamWorld::new("asphalt");
+    let mut poses: Vec<_> = along((0.0, 0.0), 0.0, 60).collect();
+    poses.extend((1..30).map(|i| at(2.4, 0.0, 0.1 * i as f64)));
+    poses.extend([None; 20]);
+    poses.extend(along((1.2, 0.1), 3.3, 30));
+    let (mut mapper, mut images) = (world.mapper(), MemoryImages::default());
+    let driven = world.drive(&mut mapper, &mut images, &poses);
+    assert!(!mapper.closures().is_empty());
+    for (frame, truth) in driven.straight.iter().zip(&poses) {
+        let Some(known) = &frame.estimate else { continue };
+        let off_rad = known.pose.heading_rad - truth.unwrap().heading_rad;
+        assert!(off_rad.abs() < 0.02, "{:.3} s: {off_rad}", frame.time_s);
+        assert!((known.measured.heading_rad - known.pose.heading_rad).abs() < 0.5);
+    }
+}
+
+#[test]
 fn a_floor_of_equal_tiles_does_not_fool_it() {
     let world = SlamWorld::repeating(0.31);
     let mut poses: Vec<_> = along((0.0, 0.0), 0.0, 50).collect();

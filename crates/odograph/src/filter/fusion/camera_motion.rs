@@ -68,7 +68,33 @@ pub fn nodes(frames: &[FrameEstimate]) -> Vec<MeasuredFrame> {
             height_variance: known.covariance[(HEIGHT, HEIGHT)].max(0.0),
         });
     }
+    leave_out_passing_errors(&mut nodes);
     nodes
+}
+
+/// An error that is gone after this time has not accumulated, seconds: while the readout time of
+/// the image is being learned, for a second or so, the heading alone is uncertain by a degree.
+const PASSING_S: f64 = 2.0;
+
+/// Reduces the covariances to what is still there after [`PASSING_S`].
+fn leave_out_passing_errors(nodes: &mut [MeasuredFrame]) {
+    for k in 0..nodes.len() {
+        let (here, after) = nodes[k..].split_at_mut(1);
+        let node = &mut here[0];
+        let is_near =
+            |later: &&MeasuredFrame| later.segment == node.segment && later.time_s <= node.time_s + PASSING_S;
+        let mut least = node.carried.diagonal();
+        for later in after.iter().take_while(is_near) {
+            least = least.inf(&later.carried.diagonal());
+        }
+        for (i, least) in least.iter().enumerate() {
+            let share = least.max(0.0) / node.carried[(i, i)];
+            if share < 1.0 {
+                node.carried.row_mut(i).scale_mut(share.sqrt());
+                node.carried.column_mut(i).scale_mut(share.sqrt());
+            }
+        }
+    }
 }
 
 /// Motions between consecutive nodes of one segment, except across intervals of more than a second.
@@ -94,4 +120,52 @@ pub fn steps(nodes: &[MeasuredFrame]) -> Vec<MotionStep> {
             }
         })
         .collect()
+}
+
+#[cfg(test)]
+mod tests {
+    #![allow(clippy::unwrap_used)] // a test fails by panicking
+
+    use super::*;
+    use crate::geometry::GroundPose;
+    use crate::geometry::pose_index::HEADING;
+    use crate::trajectory::{PlaneMeasurement, PoseEstimate, TrackStatus};
+    use nalgebra::Matrix6;
+
+    fn frame(number: u64, heading_variance: f64) -> FrameEstimate {
+        let mut covariance = Matrix6::identity() * 1e-6;
+        covariance[(HEADING, HEADING)] = heading_variance;
+        FrameEstimate {
+            frame: number,
+            time_s: number as f64 / 30.0,
+            status: TrackStatus::Tracked,
+            estimate: Some(PoseEstimate {
+                pose: GroundPose::level(0.75),
+                velocity: Default::default(),
+                covariance,
+                measured: PlaneMeasurement::new(&GroundPose::level(0.75), &Matrix6::zeros()),
+            }),
+            tracks: 100,
+            inliers: 100,
+            residual_px: 0.1,
+            keyframe: false,
+            segment: 0,
+        }
+    }
+
+    #[test]
+    fn an_uncertainty_that_passes_is_no_drift() {
+        // One degree in the first second, and drift by a tenth of that from then on, until the
+        // camera is back where it began.
+        let variance = |k: u64| match k {
+            0..30 => 3e-4 * k as f64 / 30.0,
+            30..290 => 3e-6 * k as f64 / 290.0,
+            _ => 1e-9,
+        };
+        let frames: Vec<_> = (0..300).map(|k| frame(k, variance(k))).collect();
+        let nodes = nodes(&frames);
+        let heading = |k: usize| nodes[k].carried[(HEADING, HEADING)];
+        assert!((0..30).all(|k| heading(k) < 4e-7), "{:?}", (heading(15), heading(29)));
+        assert!((heading(200) - variance(200)).abs() < 1e-12);
+    }
 }
