@@ -16,8 +16,8 @@ const AMBIGUOUS_INLIER_RATIO: f64 = 0.55;
 pub const CHANCE_INLIER_RATIO: f64 = 0.25;
 
 /// Distance from the prediction, pixels, above which a joint of the floor may have been taken for
-/// its neighbour, or another vehicle for the ground.
-pub const SURPRISE_PX: f64 = 12.0;
+/// its neighbour.
+const SURPRISE_PX: f64 = 12.0;
 
 /// Where a smaller part of the corners in view agrees with a surprise, it may be something else.
 const SURPRISING_INLIER_RATIO: f64 = 0.7;

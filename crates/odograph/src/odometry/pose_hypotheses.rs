@@ -2,7 +2,6 @@
 //! agree with what that found, near the other poses that the motion so far predicts.
 
 use super::Odometry;
-use super::ambiguity::SURPRISE_PX;
 use super::keyframe::Keyframe;
 use super::last_pose::{LastPose, seen_apart};
 use super::tracking::{self, Measurement};
@@ -23,8 +22,8 @@ const FULL_SEARCH_PX: f64 = 4.0;
 /// flight over a checkerboard whose period is 30 pixels or more.
 const NEAR_PX: f64 = 6.0;
 
-/// Ground that moves as predicted is preferred to corners that stand still in the image or move in
-/// another way where it has at least this part of their number. Not derived; chosen.
+/// Ground that moves as predicted is preferred to corners that stand still in the image where it
+/// has at least this part of their number. Not derived; chosen.
 const LEAST_GROUND: f64 = 0.2;
 
 type Measured = Result<Measurement, LossReason>;
@@ -51,7 +50,7 @@ impl Odometry {
         if let Some(whole) =
             tracking::measure_drowned(keyframe, pyramid, camera, predictions, config, learned)
         {
-            return self.or_expected(Ok(whole), pyramid, &extrapolated);
+            return self.or_moving(Ok(whole), pyramid, &extrapolated);
         }
         if let Some(off_px) = self.prediction_off_px(last, time_s) {
             let near = self.measure_within(keyframe, pyramid, &extrapolated, off_px);
@@ -60,7 +59,7 @@ impl Odometry {
                 near.refined || near.support >= self.enough_support() || self.nearly_all_agree(keyframe, near)
             };
             if near.as_ref().is_ok_and(found_enough) {
-                return self.or_expected(near, pyramid, &extrapolated);
+                return self.or_moving(near, pyramid, &extrapolated);
             }
         }
         let mut random = Random::new(self.frames);
@@ -72,46 +71,37 @@ impl Odometry {
             }
         }
         let measured = self.or_elsewhere(wide, pyramid, last, time_s);
-        self.or_expected(measured, pyramid, &extrapolated)
+        self.or_moving(measured, pyramid, &extrapolated)
     }
 
-    /// The measured pose or, if it is that of what does not move with the ground, the predicted one
-    /// if enough corners agree with it. Drops on the lens, rows of the image before, or another
-    /// vehicle may outnumber the corners of the ground.
-    fn or_expected(&self, measured: Measured, pyramid: &Pyramid, prediction: &GroundPose) -> Measured {
-        let (Some(keyframe), Ok(other)) = (&self.keyframe, &measured) else { return measured };
-        let stands_still = other.stands_still(keyframe, &self.camera, prediction);
+    /// The measured pose or, if it is that of what stands still in the image although the camera
+    /// should have moved, the predicted one if enough corners agree with it. Drops on the lens, or
+    /// rows of the image before, may outnumber the corners of the ground.
+    fn or_moving(&self, measured: Measured, pyramid: &Pyramid, prediction: &GroundPose) -> Measured {
+        let (Some(keyframe), Ok(still)) = (&self.keyframe, &measured) else { return measured };
         if self.config.motion.model == MotionModel::Mean
-            || !(stands_still || self.is_surprising(keyframe, other, prediction))
+            || !still.stands_still(keyframe, &self.camera, prediction)
         {
             return measured;
         }
+        let least = LEAST_GROUND * still.estimate.inlier_count() as f64;
+        let moves = |found: &Measurement| {
+            !found.stands_still(keyframe, &self.camera, prediction)
+                && found.estimate.inlier_count() as f64 >= least
+        };
         let (camera, config, learned) = (&self.camera, &self.config, &self.learned);
         let random = &mut Random::new(self.frames);
         // By corners, even where the whole image was registered onto what stands still.
-        let near = tracking::measure_corners(
+        let moving = tracking::measure_corners(
             keyframe, pyramid, camera, prediction, NEAR_PX, config, learned, random,
         );
-        let least = LEAST_GROUND * other.estimate.inlier_count() as f64;
-        let is_ground = |near: &Measurement| {
-            near.estimate.inlier_count() as f64 >= least
-                && !near.stands_still(keyframe, camera, prediction)
-                && (stands_still || near.is_of_other_corners(other))
-        };
-        let Some(ground) = near.filter(is_ground) else { return measured };
-        if other.agreement.is_some() {
-            return Ok(ground);
+        let Some(moving) = moving.filter(moves) else { return measured };
+        if still.agreement.is_some() {
+            return Ok(moving);
         }
-        Ok(ground.beside(other.corners_that_agree().collect(), keyframe))
-    }
-
-    /// Whether a pose is far from the prediction of a camera that moves, and many corners disagree
-    /// with it.
-    fn is_surprising(&self, keyframe: &Keyframe, found: &Measurement, prediction: &GroundPose) -> bool {
-        found.agreement.is_none()
-            && seen_apart(&found.estimate.pose, prediction) * self.camera.focal_px().0 > SURPRISE_PX
-            && tracking::should_have_moved(keyframe, &self.camera, prediction)
-            && !self.nearly_all_agree(keyframe, found)
+        let tracks = still.found.iter().zip(&still.estimate.inliers);
+        let fixed = tracks.filter(|(_, inlier)| **inlier).map(|(found, _)| found.corner).collect();
+        Ok(moving.beside(fixed, keyframe))
     }
 
     /// What a wide search found or, if fewer corners than usual agree with that and more with a

@@ -23,7 +23,7 @@ use crate::trajectory::LossReason;
 pub use observations::track_whitenings;
 use pose_fit::fit_pose;
 use search::{FoundCorners, search, search_where_last_seen};
-pub use visibility::{reason_of_loss, should_have_moved, still_seen};
+pub use visibility::{reason_of_loss, still_seen};
 
 /// A frame measured against a keyframe.
 #[derive(Debug, Clone)]

@@ -44,8 +44,11 @@ impl Measurement {
     /// have moved since the keyframe, as the shadow of the vehicle does.
     pub fn stands_still(&self, keyframe: &Keyframe, camera: &Camera, to: &GroundPose) -> bool {
         const STILL_PX: f64 = 1.0;
+        const MOVED_PX: f64 = 6.0;
         const MOST: f64 = 0.6;
-        if !should_have_moved(keyframe, camera, to) {
+        let from = &keyframe.pose;
+        let moved_m = (to.x_m - from.x_m).hypot(to.y_m - from.y_m);
+        if moved_m * camera.focal_px().0 < MOVED_PX * to.height_m {
             return false;
         }
         let corner =
@@ -58,33 +61,6 @@ impl Measurement {
         let still = agree.filter(|((now, before), _)| now.distance(*before) < still_px);
         still.count() as f64 > MOST * self.estimate.inlier_count().max(1) as f64
     }
-
-    /// The corners whose tracks are inliers, in ascending order.
-    pub fn corners_that_agree(&self) -> impl Iterator<Item = usize> {
-        let tracks = self.found.iter().zip(&self.estimate.inliers);
-        tracks.filter(|(_, inlier)| **inlier).map(|(found, _)| found.corner)
-    }
-
-    /// Whether most inliers are tracks of corners that disagree with another measurement: both are
-    /// of different bodies, and not of a pattern that repeats.
-    pub fn is_of_other_corners(&self, other: &Measurement) -> bool {
-        let theirs: Vec<usize> = other.corners_that_agree().collect();
-        let shared = self.corners_that_agree().filter(|corner| theirs.binary_search(corner).is_ok());
-        (shared.count() as f64) < MOST_SHARED * self.estimate.inlier_count() as f64
-    }
-}
-
-/// Different bodies share at most this part of their corners, by chance or where one covers the
-/// other. Not derived; chosen.
-const MOST_SHARED: f64 = 0.2;
-
-/// Whether a camera that is expected at `to` has moved since the keyframe by enough for what stands
-/// still in the image to be told from the ground.
-pub fn should_have_moved(keyframe: &Keyframe, camera: &Camera, to: &GroundPose) -> bool {
-    const MOVED_PX: f64 = 6.0;
-    let from = &keyframe.pose;
-    let moved_m = (to.x_m - from.x_m).hypot(to.y_m - from.y_m);
-    moved_m * camera.focal_px().0 >= MOVED_PX * to.height_m
 }
 
 /// See [`Measurement::false_alarms`]. `residual` is the root mean square residual over half of the
