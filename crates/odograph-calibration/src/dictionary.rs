@@ -32,13 +32,20 @@ impl Dictionary {
     /// Bit pattern, in the order of [`Dictionary::marker`], after a clockwise rotation of the
     /// marker by `quarter_turns`.
     pub fn turned(self, bits: u64, quarter_turns: usize) -> u64 {
-        let side = self.bits_per_side();
-        let bit = |bits: u64, column: usize, row: usize| bits >> (side * side - 1 - row * side - column) & 1;
-        (0..quarter_turns % 4).fold(bits, |bits, _| {
-            // A clockwise rotation moves the bottom of the first column to the top left.
-            (0..side * side).fold(0, |turned, at| turned << 1 | bit(bits, at / side, side - 1 - at % side))
-        })
+        (0..quarter_turns % 4).fold(bits, |bits, _| turned_once(bits, self.bits_per_side()))
     }
+}
+
+/// The bit in a column and row of a pattern with `side` bits along a side, in the order of
+/// [`Dictionary::marker`]; 1 is white.
+pub(crate) fn bit(bits: u64, side: usize, column: usize, row: usize) -> u64 {
+    bits >> (side * side - 1 - row * side - column) & 1
+}
+
+/// The pattern after a clockwise rotation by 90°, which moves the bottom of the first column to the
+/// top left.
+pub(crate) fn turned_once(bits: u64, side: usize) -> u64 {
+    (0..side * side).fold(0, |turned, at| turned << 1 | bit(bits, side, at / side, side - 1 - at % side))
 }
 
 // Sources of the bit patterns: S. Garrido-Jurado et al., "Automatic generation and detection of

@@ -12,6 +12,8 @@
 //!
 //! A [`MarkerFinder`] finds single markers of a [`MarkerFamily`], such as those on a floor.
 
+#[cfg(test)]
+mod test_random;
 mod dictionary;
 mod board;
 mod marker_family;

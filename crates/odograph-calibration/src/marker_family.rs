@@ -2,6 +2,7 @@
 
 use super::Dictionary;
 use super::board::length_m;
+use super::dictionary::bit;
 use odograph::error::{Error, Result};
 use std::fmt;
 use std::str::FromStr;
@@ -80,7 +81,7 @@ impl MarkerFamily {
         let Some(bits) = self.bits(number).filter(|_| inside) else { return false };
         let cell = |at: f64| ((at * cells) as usize).checked_sub(Self::BORDER_BITS).filter(|at| *at < side);
         match (cell(x), cell(y)) {
-            (Some(column), Some(row)) => bits >> (side * side - 1 - row * side - column) & 1 == 0,
+            (Some(column), Some(row)) => bit(bits, side, column, row) == 0,
             _ => true,
         }
     }

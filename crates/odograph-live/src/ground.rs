@@ -7,7 +7,7 @@ use std::collections::BTreeMap;
 use std::fs::File;
 use std::io::{BufReader, Read};
 use std::path::Path;
-use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
+use std::sync::{Mutex, MutexGuard, PoisonError};
 
 /// State of a ground map.
 #[derive(Debug, Clone, Copy, PartialEq)]
@@ -42,34 +42,6 @@ impl TiledGround for Mutex<Mosaic> {
 
     fn tile_rgba(&self, tile: MosaicSquare) -> Option<Vec<u8>> {
         self.lock().unwrap_or_else(PoisonError::into_inner).tile_rgba(tile)
-    }
-}
-
-impl TiledGround for Box<dyn TiledGround> {
-    fn state(&self) -> Option<GroundState> {
-        (**self).state()
-    }
-
-    fn changed_since(&self, revision: u64) -> Vec<MosaicSquare> {
-        (**self).changed_since(revision)
-    }
-
-    fn tile_rgba(&self, tile: MosaicSquare) -> Option<Vec<u8>> {
-        (**self).tile_rgba(tile)
-    }
-}
-
-impl<G: TiledGround> TiledGround for Arc<G> {
-    fn state(&self) -> Option<GroundState> {
-        (**self).state()
-    }
-
-    fn changed_since(&self, revision: u64) -> Vec<MosaicSquare> {
-        (**self).changed_since(revision)
-    }
-
-    fn tile_rgba(&self, tile: MosaicSquare) -> Option<Vec<u8>> {
-        (**self).tile_rgba(tile)
     }
 }
 

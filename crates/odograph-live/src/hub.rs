@@ -118,34 +118,37 @@ impl Hub {
         self.seen.lock().unwrap_or_else(PoisonError::into_inner)
     }
 
+    /// Changes what viewers see, and wakes them.
+    fn change<T>(&self, change: impl FnOnce(&mut ViewerState) -> T) -> T {
+        let outcome = change(&mut self.seen());
+        self.news.notify_all();
+        outcome
+    }
+
     /// Appends a frame to the trajectory and returns its record index.
     pub fn add_record(&self, record: &TrackRecord) -> usize {
-        let mut seen = self.seen();
-        seen.records.push(record);
-        let number = seen.records.count() - 1;
-        drop(seen);
-        self.news.notify_all();
-        number
+        self.change(|seen| {
+            seen.records.push(record);
+            seen.records.count() - 1
+        })
     }
 
     /// Replaces the current camera view.
     pub fn show_view(&self, view: View) {
-        let mut seen = self.seen();
-        seen.view = Some(Arc::new(view));
-        seen.views += 1;
-        drop(seen);
-        self.news.notify_all();
+        self.change(|seen| {
+            seen.view = Some(Arc::new(view));
+            seen.views += 1;
+        });
     }
 
     /// Sets the status of the run.
     pub fn set_status(&self, status: Status) {
-        let mut seen = self.seen();
-        if seen.status != status || seen.statuses == 0 {
-            seen.status = status;
-            seen.statuses += 1;
-        }
-        drop(seen);
-        self.news.notify_all();
+        self.change(|seen| {
+            if seen.status != status || seen.statuses == 0 {
+                seen.status = status;
+                seen.statuses += 1;
+            }
+        });
     }
 
     /// The status of the run.
@@ -163,43 +166,36 @@ impl Hub {
     /// are removed from the name and it is cut at 80 characters; an empty name becomes the mark's
     /// number.
     pub fn mark(&self, name: &str) -> Option<(usize, Mark)> {
-        let mut seen = self.seen();
-        let count = seen.records.count();
-        if count == 0 || seen.marks.len() >= MAX_MARKS || seen.marks_closed {
-            return None;
-        }
-        let last = seen.records.from(count - 1);
-        let known = |value: f32| value.is_finite().then_some(value);
-        let mark = Mark {
-            record: count - 1,
-            time_s: last[0],
-            x_m: known(last[1]),
-            y_m: known(last[2]),
-            name: mark_name(name, seen.marks.len()),
-        };
-        let index = seen.marks.len();
-        seen.marks.push(mark.clone());
-        seen.marks_changed += 1;
-        drop(seen);
-        self.news.notify_all();
-        Some((index, mark))
+        self.change(|seen| {
+            let (count, index) = (seen.records.count(), seen.marks.len());
+            if count == 0 || index >= MAX_MARKS || seen.marks_closed {
+                return None;
+            }
+            let last = seen.records.from(count - 1);
+            let known = |value: f32| value.is_finite().then_some(value);
+            let mark = Mark {
+                record: count - 1,
+                time_s: last[0],
+                x_m: known(last[1]),
+                y_m: known(last[2]),
+                name: mark_name(name, index),
+            };
+            seen.marks.push(mark.clone());
+            seen.marks_changed += 1;
+            Some((index, mark))
+        })
     }
 
     /// Gives a mark another name, as [`Hub::mark`] does. Returns `None` if there is no such mark,
     /// or if the marks are closed.
     pub fn rename_mark(&self, index: usize, name: &str) -> Option<Mark> {
-        let mut seen = self.seen();
-        if seen.marks_closed {
-            return None;
-        }
-        let mark = seen.marks.get_mut(index)?;
-        mark.name = mark_name(name, index);
-        let renamed = mark.clone();
-        seen.marks_changed += 1;
-        seen.marks_renamed += 1;
-        drop(seen);
-        self.news.notify_all();
-        Some(renamed)
+        self.change(|seen| {
+            let mark = seen.marks.get_mut(index).filter(|_| !seen.marks_closed)?;
+            mark.name = mark_name(name, index);
+            seen.marks_changed += 1;
+            seen.marks_renamed += 1;
+            Some(mark.clone())
+        })
     }
 
     /// Number of changes of the marks so far.
@@ -210,19 +206,18 @@ impl Hub {
     /// Replaces all records by those of the finished run. Their latencies stay, which a finished
     /// run does not have.
     pub fn replace_records(&self, records: &[TrackRecord]) {
-        let mut seen = self.seen();
-        let mut fresh = TrackRecords::default();
-        for (index, record) in records.iter().enumerate() {
-            let mut record = *record;
-            if index < seen.records.count() && record.values[TrackRecord::LATENCY].is_nan() {
-                record.values[TrackRecord::LATENCY] = seen.records.from(index)[TrackRecord::LATENCY];
+        self.change(|seen| {
+            let mut fresh = TrackRecords::default();
+            for (index, record) in records.iter().enumerate() {
+                let mut record = *record;
+                if index < seen.records.count() && record.values[TrackRecord::LATENCY].is_nan() {
+                    record.values[TrackRecord::LATENCY] = seen.records.from(index)[TrackRecord::LATENCY];
+                }
+                fresh.push(&record);
             }
-            fresh.push(&record);
-        }
-        seen.records = fresh;
-        seen.replaced += 1;
-        drop(seen);
-        self.news.notify_all();
+            seen.records = fresh;
+            seen.replaced += 1;
+        });
     }
 
     /// The marks from index `first` on.
@@ -237,23 +232,18 @@ impl Hub {
 
     /// Sets the marks of a finished run, replacing all present ones.
     pub fn set_marks(&self, marks: Vec<Mark>) {
-        let mut seen = self.seen();
-        (seen.marks, seen.marks_closed) = (marks, true);
-        drop(seen);
-        self.news.notify_all();
+        self.change(|seen| (seen.marks, seen.marks_closed) = (marks, true));
     }
 
     /// Publishes a message that replaces the previous one of its kind. A page receives `{"kind":
     /// kind, kind: value}`.
     pub fn notify(&self, kind: &'static str, value: &impl Serialize) {
         let json: Arc<str> = serde_json::json!({ "kind": kind, kind: value }).to_string().into();
-        let mut seen = self.seen();
-        seen.notices_sent += 1;
-        let number = seen.notices_sent;
-        seen.notices.retain(|notice| notice.kind != kind);
-        seen.notices.push(Notice { kind, number, json });
-        drop(seen);
-        self.news.notify_all();
+        self.change(|seen| {
+            seen.notices_sent += 1;
+            seen.notices.retain(|notice| notice.kind != kind);
+            seen.notices.push(Notice { kind, number: seen.notices_sent, json });
+        });
     }
 
     /// Requests the run to stop and write its results.

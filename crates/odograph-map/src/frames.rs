@@ -66,8 +66,7 @@ impl FrameImages {
             jpeg,
         };
         read.map_err(|error| self.failed("read back", &error))?;
-        image::decode(&stored, self.size)
-            .map_err(|why| Error::output(format!("the image of frame {frame} {why}")))
+        stored.decode(self.size).map_err(|why| Error::output(format!("the image of frame {frame} {why}")))
     }
 
     fn write(&mut self, bytes: &[u8]) -> io::Result<()> {

@@ -34,7 +34,39 @@ impl StoredImage {
     /// Decodes the image, which must have this width and height. The error is the end of a sentence
     /// that begins with the image.
     pub fn decode(&self, size: (usize, usize)) -> std::result::Result<KeyframeImage, String> {
-        decode(self, size)
+        let space = if self.colored { ColorSpace::YCbCr } else { ColorSpace::Luma };
+        let options =
+            DecoderOptions::default().set_strict_mode(true).set_max_width(size.0).set_max_height(size.1);
+        let mut decoder =
+            JpegDecoder::new_with_options(ZCursor::new(&self.jpeg), options.jpeg_set_out_colorspace(space));
+        let samples = decoder.decode().map_err(|error| {
+            format!("cannot be decoded: {}", format!("{error:?}").replace('\n', " ").trim_end())
+        })?;
+        let info = decoder.info().ok_or("cannot be decoded")?;
+        let found = (usize::from(info.width), usize::from(info.height));
+        let channels = if self.colored { 3 } else { 1 };
+        if found != size || samples.len() != channels * size.0 * size.1 {
+            return Err(format!("has {}x{} pixels, the camera {}x{}", found.0, found.1, size.0, size.1));
+        }
+        if !self.colored {
+            let gray = GrayImage::from_samples(size.0, size.1, samples).ok_or("cannot be decoded")?;
+            return Ok(KeyframeImage { gray, color: None });
+        }
+        let (scale, offset) = (self.luma_scale as f32, self.luma_offset as f32);
+        if !scale.is_finite() || !offset.is_finite() {
+            return Err("has colours that are not finite".to_owned());
+        }
+        let gray = samples.as_chunks::<3>().0.iter().map(|pixel| pixel[0]).collect();
+        let mut rgb = samples;
+        // In blocks of independent pixels, which the compiler can vectorise.
+        let (many, rest) = rgb.as_chunks_mut::<{ 3 * AT_ONCE }>();
+        many.iter_mut().for_each(|pixels| color(pixels.as_chunks_mut::<3>().0, scale, offset));
+        rest.as_chunks_mut::<3>()
+            .0
+            .iter_mut()
+            .for_each(|pixel| color(std::slice::from_mut(pixel), scale, offset));
+        let gray = GrayImage::from_samples(size.0, size.1, gray).ok_or("cannot be decoded")?;
+        Ok(KeyframeImage { gray, color: RgbImage::from_samples(size.0, size.1, rgb) })
     }
 }
 
@@ -86,46 +118,6 @@ fn luma_of_gray(gray: &GrayImage, color: &RgbImage) -> (f64, f64) {
     }
     let scale = ((n * xy - x * y) / spread).clamp(0.25, 4.0);
     (scale, (y - scale * x) / n)
-}
-
-/// Decodes an image, which must have the given size; the error is the end of a sentence.
-pub(crate) fn decode(
-    stored: &StoredImage,
-    size: (usize, usize),
-) -> std::result::Result<KeyframeImage, String> {
-    let space = if stored.colored { ColorSpace::YCbCr } else { ColorSpace::Luma };
-    let options =
-        DecoderOptions::default().set_strict_mode(true).set_max_width(size.0).set_max_height(size.1);
-    let mut decoder =
-        JpegDecoder::new_with_options(ZCursor::new(&stored.jpeg), options.jpeg_set_out_colorspace(space));
-    let samples = decoder.decode().map_err(|error| {
-        format!("cannot be decoded: {}", format!("{error:?}").replace('\n', " ").trim_end())
-    })?;
-    let info = decoder.info().ok_or("cannot be decoded")?;
-    let found = (usize::from(info.width), usize::from(info.height));
-    let channels = if stored.colored { 3 } else { 1 };
-    if found != size || samples.len() != channels * size.0 * size.1 {
-        return Err(format!("has {}x{} pixels, the camera {}x{}", found.0, found.1, size.0, size.1));
-    }
-    if !stored.colored {
-        let gray = GrayImage::from_samples(size.0, size.1, samples).ok_or("cannot be decoded")?;
-        return Ok(KeyframeImage { gray, color: None });
-    }
-    let (scale, offset) = (stored.luma_scale as f32, stored.luma_offset as f32);
-    if !scale.is_finite() || !offset.is_finite() {
-        return Err("has colours that are not finite".to_owned());
-    }
-    let gray = samples.as_chunks::<3>().0.iter().map(|pixel| pixel[0]).collect();
-    let mut rgb = samples;
-    // In blocks of independent pixels, which the compiler can vectorise.
-    let (many, rest) = rgb.as_chunks_mut::<{ 3 * AT_ONCE }>();
-    many.iter_mut().for_each(|pixels| color(pixels.as_chunks_mut::<3>().0, scale, offset));
-    rest.as_chunks_mut::<3>()
-        .0
-        .iter_mut()
-        .for_each(|pixel| color(std::slice::from_mut(pixel), scale, offset));
-    let gray = GrayImage::from_samples(size.0, size.1, gray).ok_or("cannot be decoded")?;
-    Ok(KeyframeImage { gray, color: RgbImage::from_samples(size.0, size.1, rgb) })
 }
 
 /// Block size, pixels.

@@ -81,7 +81,8 @@ impl MapFile {
         edges: &[MapEdge],
     ) -> Result<()> {
         let camera = self.camera_of(keyframe.session);
-        image::decode(image, (camera.width(), camera.height()))
+        image
+            .decode((camera.width(), camera.height()))
             .map_err(|why| self.complaint.usage(format!("the image of keyframe {} {why}", keyframe.id.0)))?;
         self.store(keyframe, Some(number), image, edges)
     }
@@ -263,8 +264,8 @@ impl MapFile {
 
 impl KeyframeImages for MapFile {
     fn load(&mut self, keyframe: KeyframeId) -> Result<KeyframeImage> {
-        let stored = self.stored_image(keyframe)?;
-        image::decode(&stored, self.image_size(keyframe)?)
+        self.stored_image(keyframe)?
+            .decode(self.image_size(keyframe)?)
             .map_err(|why| self.complaint.damage(format!("the image of keyframe {} {why}", keyframe.0)))
     }
 }

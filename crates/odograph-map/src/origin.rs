@@ -81,7 +81,8 @@ pub fn check_name(robot: &str) -> Result<()> {
 
 /// Writes the origin of a session.
 pub(crate) fn write(connection: &Connection, session: u32, origin: &SessionOrigin) -> rusqlite::Result<()> {
-    make(connection)?;
+    schema::make_further(connection, "odograph_session_origin", SESSIONS)?;
+    schema::make_further(connection, "odograph_keyframe_origin", KEYFRAMES)?;
     connection.execute(
         "INSERT INTO odograph_session_origin VALUES (?1, ?2, ?3)",
         params![session, origin.robot, origin.key],
@@ -149,9 +150,4 @@ pub(crate) fn remove_session(connection: &Connection, session: u32) -> rusqlite:
 fn is_there(connection: &Connection) -> rusqlite::Result<bool> {
     Ok(schema::has_further(connection, "odograph_session_origin", SESSIONS)?
         && schema::has_further(connection, "odograph_keyframe_origin", KEYFRAMES)?)
-}
-
-fn make(connection: &Connection) -> rusqlite::Result<()> {
-    schema::make_further(connection, "odograph_session_origin", SESSIONS)?;
-    schema::make_further(connection, "odograph_keyframe_origin", KEYFRAMES)
 }

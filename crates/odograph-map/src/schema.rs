@@ -121,10 +121,7 @@ pub(crate) fn make(connection: &Connection) -> rusqlite::Result<()> {
     // registered.
     geopackage::list_layer(connection, "odograph_session", "attributes", "the runs that made the map")?;
     for (table, _) in MAP_TABLES.iter().filter(|(table, _)| table.starts_with("odograph_")) {
-        connection.execute(
-            "INSERT INTO gpkg_extensions VALUES (?1, NULL, 'odograph_map', 'docs/map_file.md of odograph', 'write-only')",
-            [table],
-        )?;
+        list_extension(connection, table)?;
     }
     connection.execute(
         "INSERT INTO odograph_map VALUES (1, ?1, ?2)",
@@ -206,14 +203,7 @@ pub(crate) fn is_unfinished(path: &Path) -> bool {
 pub(crate) fn check(connection: &Connection, path: &Path) -> Result<()> {
     let complaint = Complaint::about(path);
     let number = |pragma: &str| connection.pragma_query_value(None, pragma, |row| row.get::<_, i32>(0));
-    let ours = connection
-        .query_row(
-            "SELECT sql FROM sqlite_schema WHERE type = 'table' AND name = 'odograph_map'",
-            [],
-            |row| row.get::<_, String>(0),
-        )
-        .optional()
-        .while_reading(&complaint)?;
+    let ours = definition(connection, "odograph_map").while_reading(&complaint)?;
     let Some(_) = ours.filter(|sql| !sql.to_ascii_uppercase().starts_with("CREATE VIRTUAL")) else {
         return Err(complaint.input("this database is not a map of odograph (it has no table odograph_map); give the map.gpkg that odograph run has \
              written"));
@@ -226,12 +216,7 @@ pub(crate) fn check(connection: &Connection, path: &Path) -> Result<()> {
         );
     }
     for (table, sql) in MAP_TABLES {
-        let found: Option<String> = connection
-            .query_row("SELECT sql FROM sqlite_schema WHERE type = 'table' AND name = ?1", [table], |row| {
-                row.get(0)
-            })
-            .optional()
-            .while_reading(&complaint)?;
+        let found = definition(connection, table).while_reading(&complaint)?;
         if found.as_deref() != Some(sql) {
             return Err(complaint.input(format!(
                 "the map's table {table} is {}; it is damaged or has been changed by another program: copy it again from where \
@@ -265,20 +250,28 @@ pub(crate) fn make_further(connection: &Connection, name: &str, sql: &str) -> ru
         return Ok(());
     }
     connection.execute(sql, [])?;
-    connection.execute(
-        "INSERT INTO gpkg_extensions VALUES (?1, NULL, 'odograph_map', 'docs/map_file.md of odograph', 'write-only')",
-        [name],
-    )?;
-    Ok(())
+    list_extension(connection, name)
 }
 
 /// Whether a map has a table that only some have, exactly as we make it.
 pub(crate) fn has_further(connection: &Connection, name: &str, sql: &str) -> rusqlite::Result<bool> {
-    let there: Option<String> = connection
+    Ok(definition(connection, name)?.as_deref() == Some(sql))
+}
+
+/// The statement that made a table; `None` if there is no such table.
+fn definition(connection: &Connection, name: &str) -> rusqlite::Result<Option<String>> {
+    connection
         .prepare_cached("SELECT sql FROM sqlite_schema WHERE type = 'table' AND name = ?1")?
         .query_row([name], |row| row.get(0))
-        .optional()?;
-    Ok(there.as_deref() == Some(sql))
+        .optional()
+}
+
+/// Registers a table that is not part of GeoPackage (clause 2.3).
+fn list_extension(connection: &Connection, table: &str) -> rusqlite::Result<()> {
+    let insert = "INSERT INTO gpkg_extensions \
+                  VALUES (?1, NULL, 'odograph_map', 'docs/map_file.md of odograph', 'write-only')";
+    connection.execute(insert, [table])?;
+    Ok(())
 }
 
 /// Marks a map as one that programs for a single camera cannot read.

@@ -18,7 +18,7 @@ const ROTATION: &str = "#2a6f97";
 /// for a camera over ground), at the same scale both ways; below it the position and the rotation
 /// error of each compared pose.
 pub fn svg(title: &str, evaluation: &Evaluation, truth: &Trajectory) -> String {
-    let view = PlotView::of(evaluation, truth);
+    let view = PlotView::along(evaluation, truth, seen_axes);
     let below = view.bottom + 60.0;
     let height = below + 430.0;
     let mut out = format!(
@@ -127,10 +127,6 @@ struct PlotView {
 }
 
 impl PlotView {
-    fn of(evaluation: &Evaluation, truth: &Trajectory) -> Self {
-        Self::along(evaluation, truth, seen_axes)
-    }
-
     /// Seen so that `axes` of the paths' extents go across and up.
     fn along(
         evaluation: &Evaluation,

@@ -110,6 +110,15 @@ fn report_with(
     })
 }
 
+/// The report of a run with a mosaic.
+fn report_over_ground(frames: &[FrameSummary]) -> String {
+    // 4 m wide and 2 m high, 1 cm a pixel, the origin in the middle.
+    let placement = Placement { metres_per_pixel: 0.01, x_m: -1.995, y_m: 0.995 };
+    let picture = MosaicPicture { width: 400, height: 200, rgba: vec![255; 4 * 400 * 200], placement };
+    let mosaic = ReportMosaic { picture: &picture, placement, file_name: "mosaic.png" };
+    report_with(Some(mosaic), frames, "drive", &[])
+}
+
 /// Asserts that all elements are closed in order, and that the page has no external references.
 fn assert_sound(page: &str) {
     const VOID: [&str; 4] = ["meta", "img", "br", "!doctype"];
@@ -201,11 +210,7 @@ fn the_report_of_an_hour_is_small() {
 #[test]
 fn the_path_lies_over_the_ground_it_saw() {
     let frames = figure_eight(600);
-    // 4 m wide and 2 m high, 1 cm a pixel, the origin in the middle.
-    let placement = Placement { metres_per_pixel: 0.01, x_m: -1.995, y_m: 0.995 };
-    let picture = MosaicPicture { width: 400, height: 200, rgba: vec![255; 4 * 400 * 200], placement };
-    let mosaic = ReportMosaic { picture: &picture, placement, file_name: "mosaic.png" };
-    let page = report_with(Some(mosaic), &frames, "drive", &[]);
+    let page = report_over_ground(&frames);
     assert_sound(&page);
     let over = page.split("<div class=\"over\">").nth(1).unwrap().split("</svg>").next().unwrap();
     assert!(over.contains("viewBox=\"-0.5 -0.5 400 200\""), "{over}");
@@ -219,17 +224,14 @@ fn the_path_lies_over_the_ground_it_saw() {
     // A loss that ends where earlier ground is recognised begins no segment, and is no path either.
     let mut bridged = figure_eight(600);
     bridged.iter_mut().for_each(|frame| frame.segment = 0);
-    let page = report_with(Some(mosaic), &bridged, "drive", &[]);
+    let page = report_over_ground(&bridged);
     assert!(page.contains(over), "the loss is drawn as a path");
 }
 
 #[test]
 fn layers_of_the_ground_are_those_that_exist() {
     let frames = figure_eight(600);
-    let placement = Placement { metres_per_pixel: 0.01, x_m: -1.995, y_m: 0.995 };
-    let picture = MosaicPicture { width: 400, height: 200, rgba: vec![255; 4 * 400 * 200], placement };
-    let mosaic = ReportMosaic { picture: &picture, placement, file_name: "mosaic.png" };
-    let page = report_with(Some(mosaic), &frames, "drive", &[]);
+    let page = report_over_ground(&frames);
     for class in ["way", "losses", "keyframes", "loops", "marks"] {
         assert!(page.contains(&format!("<g class=\"{class}\">")), "{class}");
         assert!(page.contains(&format!("class=\"shows-{class}\"")), "{class}");
@@ -237,7 +239,7 @@ fn layers_of_the_ground_are_those_that_exist() {
     assert!(page.contains("<g class=\"keyframes\"><path class=\"dot\" d=\"M199.5 99.5h0M359.5 99.5h0\"/>"));
     assert!(page.contains("a &lt;door&gt;</text>"));
     let sure: Vec<_> = frames.iter().take(200).cloned().collect();
-    assert!(!report_with(Some(mosaic), &sure, "drive", &[]).contains("<g class=\"losses\">"));
+    assert!(!report_over_ground(&sure).contains("<g class=\"losses\">"));
 }
 
 #[test]
@@ -308,6 +310,7 @@ fn a_look() {
         println!("skipped: look: ODOGRAPH_LOOK names no folder");
         return;
     };
+    let write = |name: &str, bytes: &[u8]| odograph_session::files::write(&folder.join(name), bytes).unwrap();
     let (frames, camera) = (figure_eight(900), camera());
     let mosaic = mosaic_of(&frames, &camera);
     let whole = mosaic.picture().unwrap();
@@ -328,27 +331,18 @@ fn a_look() {
         ("map-narrow", MapDrawing { width: 460.0, title: "", ..plain }),
     ] {
         let svg = drawing.svg(&frames);
-        odograph_session::files::write(&folder.join(format!("{name}.svg")), svg.as_bytes()).unwrap();
+        write(&format!("{name}.svg"), svg.as_bytes());
         let width = if name == "map-narrow" { 700 } else { MAP_WIDTH_PX };
-        odograph_session::files::write(
-            &folder.join(format!("{name}.png")),
-            &drawing_png(&svg, width).unwrap(),
-        )
-        .unwrap();
+        write(&format!("{name}.png"), &drawing_png(&svg, width).unwrap());
     }
     for (name, path) in odd_paths() {
         let svg =
             MapDrawing { title: &format!("{name} {}", "of a very long name".repeat(8)), ..plain }.svg(&path);
-        odograph_session::files::write(
-            &folder.join(format!("map-{name}.png")),
-            &drawing_png(&svg, 1000).unwrap(),
-        )
-        .unwrap();
+        write(&format!("map-{name}.png"), &drawing_png(&svg, 1000).unwrap());
     }
     let png_whole = odograph_session::files::png_from_rgba(whole.width, whole.height, &whole.rgba).unwrap();
-    odograph_session::files::write(&folder.join("mosaic.png"), &png_whole).unwrap();
-    odograph_session::files::write(&folder.join("mosaic.pgw"), whole.placement.world_file().as_bytes())
-        .unwrap();
+    write("mosaic.png", &png_whole);
+    write("mosaic.pgw", whole.placement.world_file().as_bytes());
     let page = html(&ReportInput {
         interruption: None,
         title: "figure-eight.mp4",
@@ -367,5 +361,5 @@ fn a_look() {
         sensors: &[],
         reference: None,
     });
-    odograph_session::files::write(&folder.join("report.html"), page.as_bytes()).unwrap();
+    write("report.html", page.as_bytes());
 }

@@ -56,8 +56,9 @@ fn corners(seed: u32, i: i32, j: i32) -> [f32; 4] {
     [cell(seed, i, j), cell(seed, right, j), cell(seed, i, below), cell(seed, right, below)]
 }
 
+/// Noise in a lattice cell with these corner values, −1 to 1; `u` and `v` are the position in it.
 #[inline]
-fn interpolated([left, right, left_below, right_below]: [f32; 4], u: f32, v: f32) -> f32 {
+pub(super) fn interpolated([left, right, left_below, right_below]: [f32; 4], u: f32, v: f32) -> f32 {
     let fade = |t: f32| t * t * t * (t * (t * 6.0 - 15.0) + 10.0);
     let (a, b) = (fade(u), fade(v));
     let top = left * (1.0 - a) + right * a;

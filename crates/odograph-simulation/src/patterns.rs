@@ -31,7 +31,7 @@ pub(super) fn carpet(
     let bent_y = y + 0.002 * f64::from(cache.value_noise(seed ^ 12, x / 0.05, y / 0.05));
     let row = (bent_y / loop_y).floor();
     let along = bent_x / loop_x + 0.5 * row.rem_euclid(2.0);
-    let (u, v) = (along.fract_floor() - 0.5, bent_y / loop_y - row - 0.5);
+    let (u, v) = (along - along.floor() - 0.5, bent_y / loop_y - row - 0.5);
     let bump = (1.0 - 4.0 * u * u).max(0.0) * (1.0 - 4.0 * v * v).max(0.0);
     let seen = visibility(loop_y, footprint_m);
     let own = cell(seed ^ 13, along.floor() as i64 as i32, row as i64 as i32) - 0.5;
@@ -157,15 +157,4 @@ fn joint(x: f64, period: f64, width: f64, footprint_m: f64) -> f32 {
     let covered = smooth_step(0.5 + (0.5 * width - from_middle) / (1.5 * soft));
     // A joint narrower than the pixel cannot fill it.
     (covered * (width / footprint_m).min(1.0)) as f32
-}
-
-/// Fractional part relative to the floor, in [0, 1).
-trait FractFloor {
-    fn fract_floor(self) -> f64;
-}
-
-impl FractFloor for f64 {
-    fn fract_floor(self) -> f64 {
-        self - self.floor()
-    }
 }

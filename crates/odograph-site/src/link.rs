@@ -137,6 +137,13 @@ enum Stopped {
     ForGood(String),
 }
 
+impl From<Error> for Stopped {
+    /// The map cannot be read now.
+    fn from(error: Error) -> Self {
+        Self::ForNow(error.to_string())
+    }
+}
+
 struct Sending {
     map: PathBuf,
     robot: String,
@@ -196,10 +203,9 @@ impl Sending {
         if !MapFile::is_there(&self.map) {
             return Ok(());
         }
-        let failed = |error: Error| Stopped::ForNow(error.to_string());
         // The file is open only while it is read, so that its writer can close it. It may be about
         // to be replaced.
-        let sessions = MapFile::open_read_only(&self.map).and_then(|file| file.sessions()).map_err(failed)?;
+        let sessions = MapFile::open_read_only(&self.map).and_then(|file| file.sessions())?;
         let own: Vec<_> = sessions
             .into_iter()
             .filter_map(|session| Some((session.origin?, session.id, session.source)))
@@ -235,8 +241,7 @@ impl Sending {
         session: u32,
         source: String,
     ) -> std::result::Result<(), Stopped> {
-        let failed = |error: Error| Stopped::ForNow(error.to_string());
-        let file = MapFile::open_read_only(&self.map).map_err(failed)?;
+        let file = MapFile::open_read_only(&self.map)?;
         let mounted = match file.other_cameras().get(&session) {
             Some(mounted) => mounted.clone(),
             None => MountedCamera { camera: file.camera().clone(), rig: *file.rig() },
@@ -248,8 +253,8 @@ impl Sending {
             camera: mounted.camera,
             rig: mounted.rig,
         };
-        let outbox = Outbox::new(&file, origin).map_err(failed)?;
-        let last_here = outbox.last_number(&file).map_err(failed)?;
+        let outbox = Outbox::new(&file, origin)?;
+        let last_here = outbox.last_number(&file)?;
         drop(file);
         let status = self.client.describe(&description).map_err(|why| self.stopped(&why))?;
         let (mut last, mut ended) = (status.acknowledged, status.ended);
@@ -278,9 +283,8 @@ impl Sending {
         }
         let mut read_all = false;
         if current.waiting.is_empty() {
-            let failed = |error: Error| Stopped::ForNow(error.to_string());
-            let file = MapFile::open_read_only(&self.map).map_err(failed)?;
-            let records = current.outbox.next(&file, AT_ONCE).map_err(failed)?;
+            let file = MapFile::open_read_only(&self.map)?;
+            let records = current.outbox.next(&file, AT_ONCE)?;
             read_all = records.is_empty();
             let mut after = current.last;
             for record in records {
@@ -292,7 +296,7 @@ impl Sending {
                 after = Some(number);
             }
             if read_all && is_over {
-                let rest = current.outbox.rest(&file).map_err(failed)?;
+                let rest = current.outbox.rest(&file)?;
                 current.waiting.push(Record::end(current.last, &rest));
             }
         }

@@ -78,11 +78,6 @@ impl SiteState {
         (work.records, work.robots) = (false, false);
         taken
     }
-
-    /// Marks all work as done, except what was requested meanwhile.
-    fn set_settled(&self) {
-        self.tell(|work| work.settled = true);
-    }
 }
 
 /// Merges records into the map.
@@ -117,7 +112,8 @@ impl Merger {
         self.take_out_inactive()?;
         while !shared.is_ended() {
             if !unsettled {
-                shared.set_settled();
+                // Except for what was requested meanwhile.
+                shared.tell(|work| work.settled = true);
             }
             let work = shared.work(if unsettled { SETTLED_AFTER } else { IDLE });
             if work.robots {
@@ -205,8 +201,7 @@ impl Merger {
             }
         }
         if merged > 0 {
-            let version = self.records.version()?;
-            self.records.set_version(version + merged as u64)?;
+            self.records.advance_version(merged as u64)?;
             if self.published.is_none_or(|at| at.elapsed() >= PUBLISHED_EVERY) {
                 self.publish(shared)?;
             }
@@ -253,8 +248,7 @@ impl Merger {
         let (map, any) = map.remove(inactive)?;
         self.map = Some(map);
         if any {
-            let version = self.records.version()?;
-            self.records.set_version(version + 1)?;
+            self.records.advance_version(1)?;
         }
         Ok(any)
     }

@@ -89,11 +89,10 @@ impl Published {
             self.placements.extend(placement.map(|placement| (origin, placement)));
         }
         self.sessions = sessions;
-        let ends =
-            |(one, other): &(&odograph::ground_map::MapKeyframe, &odograph::ground_map::MapKeyframe)| {
-                [one.pose.x_m, one.pose.y_m, other.pose.x_m, other.pose.y_m]
-            };
-        self.loops = loops.iter().map(ends).collect();
+        self.loops = loops
+            .iter()
+            .map(|(one, other)| [one.pose.x_m, one.pose.y_m, other.pose.x_m, other.pose.y_m])
+            .collect();
         Ok(())
     }
 

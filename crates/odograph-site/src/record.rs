@@ -62,14 +62,16 @@ pub struct KeyframeHead {
 pub struct EdgeHead {
     from: u64,
     to: u64,
-    kind: EdgeKindName,
+    #[serde(with = "EdgeKindName")]
+    kind: EdgeKind,
     motion: [f64; 4],
     /// Upper triangle of the covariance, row by row.
     covariance: [f64; 10],
 }
 
-#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
-#[serde(rename_all = "lowercase")]
+/// The kinds of edges as they are written.
+#[derive(Serialize, Deserialize)]
+#[serde(remote = "EdgeKind", rename_all = "lowercase")]
 enum EdgeKindName {
     Odometry,
     Gap,
@@ -213,12 +215,7 @@ impl EdgeHead {
         for (value, (row, column)) in covariance.iter_mut().zip(triangle()) {
             *value = edge.covariance[(row, column)];
         }
-        let kind = match edge.kind {
-            EdgeKind::Odometry => EdgeKindName::Odometry,
-            EdgeKind::Gap => EdgeKindName::Gap,
-            EdgeKind::Loop => EdgeKindName::Loop,
-        };
-        Self { from: edge.from.0, to: edge.to.0, kind, motion: edge.motion.into(), covariance }
+        Self { from: edge.from.0, to: edge.to.0, kind: edge.kind, motion: edge.motion.into(), covariance }
     }
 
     fn is_sound(&self) -> bool {
@@ -237,15 +234,10 @@ impl EdgeHead {
             covariance[(row, column)] = value;
             covariance[(column, row)] = value;
         }
-        let kind = match self.kind {
-            EdgeKindName::Odometry => EdgeKind::Odometry,
-            EdgeKindName::Gap => EdgeKind::Gap,
-            EdgeKindName::Loop => EdgeKind::Loop,
-        };
         Some(MapEdge {
             from: id(self.from)?,
             to: id(self.to)?,
-            kind,
+            kind: self.kind,
             motion: Vector4::from(self.motion),
             covariance,
         })

@@ -5,7 +5,7 @@ use crate::record::Record;
 use odograph::error::{Error, Result};
 use odograph_map::SessionOrigin;
 use rusqlite::config::DbConfig;
-use rusqlite::{Connection, OptionalExtension, params};
+use rusqlite::{Connection, OptionalExtension, Row, params};
 use std::path::{Path, PathBuf};
 
 const TABLES: &str = "\
@@ -118,10 +118,7 @@ impl RecordStore {
 
     /// Number of the last record of a session.
     pub fn last(&self, session: i64) -> Result<Option<u64>> {
-        self.connection
-            .prepare_cached("SELECT max(number) FROM record WHERE session = ?1")
-            .and_then(|mut statement| statement.query_row([session], |row| row.get(0)))
-            .map_err(|error| self.failed(&error))
+        last_number(&self.connection, session).map_err(|error| self.failed(&error))
     }
 
     /// Stores records of a session, each with its bytes. All that are new are on disk when this
@@ -162,11 +159,7 @@ impl RecordStore {
                 transaction
                     .execute("UPDATE session SET ended = 0 WHERE id = ?1", [session])
                     .map_err(failed)?;
-                last = transaction
-                    .query_row("SELECT max(number) FROM record WHERE session = ?1", [session], |row| {
-                        row.get(0)
-                    })
-                    .map_err(failed)?;
+                last = last_number(&transaction, session).map_err(failed)?;
             }
             if head.after != last {
                 return Err(NotStored::OutOfOrder(last));
@@ -217,17 +210,14 @@ impl RecordStore {
 
     /// All robots, with their state and its reason.
     pub fn robots(&self) -> Result<Vec<(String, RobotState, Option<String>)>> {
-        let rows: Vec<(String, String, Option<String>)> = self
-            .connection
-            .prepare_cached("SELECT name, state, reason FROM robot ORDER BY name")
-            .and_then(|mut statement| {
-                statement.query_map([], |row| Ok((row.get(0)?, row.get(1)?, row.get(2)?)))?.collect()
-            })
-            .map_err(|error| self.failed(&error))?;
-        let named = |(name, state, reason): (String, String, Option<String>)| {
-            Ok((name, RobotState::named(&state).unwrap_or_default(), reason))
+        let robot = |row: &Row<'_>| {
+            let state: String = row.get(1)?;
+            Ok((row.get(0)?, RobotState::named(&state).unwrap_or_default(), row.get(2)?))
         };
-        rows.into_iter().map(named).collect()
+        self.connection
+            .prepare_cached("SELECT name, state, reason FROM robot ORDER BY name")
+            .and_then(|mut statement| statement.query_map([], robot)?.collect())
+            .map_err(|error| self.failed(&error))
     }
 
     /// Sets the state of a robot. Returns whether there is such a robot.
@@ -248,10 +238,10 @@ impl RecordStore {
             .map_err(|error| self.failed(&error))
     }
 
-    /// Sets the version of the map.
-    pub fn set_version(&mut self, version: u64) -> Result<()> {
+    /// Adds to the version of the map.
+    pub fn advance_version(&mut self, by: u64) -> Result<()> {
         self.connection
-            .execute("UPDATE site SET version = ?1", [version])
+            .execute("UPDATE site SET version = version + ?1", [by])
             .map(drop)
             .map_err(|error| self.failed(&error))
     }
@@ -261,6 +251,13 @@ impl RecordStore {
     }
 }
 
-fn read_session(row: &rusqlite::Row<'_>) -> rusqlite::Result<(i64, String, bool)> {
+/// Number of the last record of a session.
+fn last_number(connection: &Connection, session: i64) -> rusqlite::Result<Option<u64>> {
+    connection
+        .prepare_cached("SELECT max(number) FROM record WHERE session = ?1")?
+        .query_row([session], |row| row.get(0))
+}
+
+fn read_session(row: &Row<'_>) -> rusqlite::Result<(i64, String, bool)> {
     Ok((row.get(0)?, row.get(1)?, row.get(2)?))
 }

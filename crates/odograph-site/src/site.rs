@@ -85,13 +85,13 @@ impl Site {
         let description = description.validated().map_err(RequestRefusal::Malformed)?;
         let failed = |error| RequestRefusal::NotStored(NotStored::Failed(error));
         let origin = description.origin().map_err(RequestRefusal::Malformed)?;
-        let stored = {
+        let (last, stored) = {
             let mut records = self.lock_records();
             let stored = records.describe(&description).map_err(failed)?;
             (records.last(stored.id).map_err(failed)?, stored)
         };
         self.shared.tell(|work| work.records = true);
-        Ok(self.status(&origin, stored.0, &stored.1))
+        Ok(self.status(&origin, last, &stored))
     }
 
     /// Takes records of a session. When this returns they are on disk.

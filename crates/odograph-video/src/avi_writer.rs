@@ -60,10 +60,8 @@ impl<W: Write + Seek> AviWriter<W> {
         let size = jpeg.len() as u32;
         // Offsets count from the name of the list, four bytes before its first chunk.
         let offset = self.movie_bytes as u32 + 4;
+        self.index.extend_from_slice(b"00dc");
         for number in [KEYFRAME, offset, size] {
-            if number == KEYFRAME {
-                self.index.extend_from_slice(b"00dc");
-            }
             self.index.extend_from_slice(&number.to_le_bytes());
         }
         self.movie_bytes += padded_bytes(jpeg);

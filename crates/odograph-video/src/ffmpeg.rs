@@ -251,16 +251,15 @@ impl Process {
     /// Receives the next frame; `None` at the end.
     fn receive(&mut self) -> Result<Option<(f64, Picture)>> {
         let stalled = || Error::input(format!("ffmpeg gave no frame for {} seconds", PATIENCE.as_secs()));
-        let picture = match self.pictures.recv_timeout(PATIENCE) {
-            Ok(picture) => picture?,
-            Err(RecvTimeoutError::Timeout) => return Err(stalled()),
-            Err(RecvTimeoutError::Disconnected) => {
-                self.finish();
-                return Ok(None);
+        let frame = match self.pictures.recv_timeout(PATIENCE) {
+            Ok(picture) => {
+                let picture = picture?;
+                self.times.recv_timeout(PATIENCE).map(|time_s| (time_s, picture))
             }
+            Err(error) => Err(error),
         };
-        match self.times.recv_timeout(PATIENCE) {
-            Ok(time_s) => Ok(Some((time_s, picture))),
+        match frame {
+            Ok(frame) => Ok(Some(frame)),
             Err(RecvTimeoutError::Timeout) => Err(stalled()),
             Err(RecvTimeoutError::Disconnected) => {
                 self.finish();

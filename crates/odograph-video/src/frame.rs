@@ -44,10 +44,9 @@ impl Frame {
                     .unwrap_or_else(|| RgbImage::from(&self.gray))
             }
             Some(Color::Chroma(chroma)) => chroma.rgb(&self.gray),
-            Some(Color::Deferred(deferred)) => match deferred.chroma() {
-                Some(chroma) => chroma.rgb(&self.gray),
-                None => RgbImage::from(&self.gray),
-            },
+            Some(Color::Deferred(deferred)) => {
+                deferred.chroma().map_or_else(|| RgbImage::from(&self.gray), |chroma| chroma.rgb(&self.gray))
+            }
         }
     }
 }

@@ -28,6 +28,8 @@
 //! ```
 
 mod limits;
+mod file_error;
+mod record_file;
 mod regular_file;
 mod pipe;
 mod temporary;

@@ -1,6 +1,7 @@
 //! Pipes, standard input and devices: what gives bytes when its writer likes to. Waiting for them
 //! can be ended, also where no writer has come yet.
 
+use crate::file_error::{unopened, unreadable};
 use odograph::error::{Error, Result};
 use std::io::Read;
 use std::path::Path;
@@ -35,12 +36,12 @@ pub(crate) fn interrupted_or(error: Error) -> Error {
 
 /// Standard input.
 pub(crate) fn standard_input() -> Result<impl Read + Send + 'static> {
-    waiting::standard_input().map_err(|error| Error::input(format!("cannot be read: {error}")))
+    waiting::standard_input().map_err(unreadable)
 }
 
 /// A pipe or device. Does not wait for its writer.
 pub(crate) fn open(path: &Path) -> Result<impl Read + Send + 'static> {
-    waiting::open(path).map_err(|error| Error::input(format!("cannot be opened: {error}")))
+    waiting::open(path).map_err(unopened)
 }
 
 #[cfg(target_os = "linux")]

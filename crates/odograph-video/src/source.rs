@@ -4,6 +4,7 @@ use crate::container::annex_b::{self, AnnexBReader};
 use crate::container::avi::AviReader;
 use crate::container::matroska::{self, MatroskaReader};
 use crate::container::mp4::Mp4Reader;
+use crate::file_error::{unopened, unreadable};
 use crate::frame::{Frame, Picture};
 use crate::limits;
 use crate::opened::{Frames, Opened};
@@ -14,7 +15,7 @@ use crate::{bag, ffmpeg, foreign_file, pictures, pipe, video, y4m};
 use odograph::error::{Error, ErrorKind, Result};
 use std::fs::File;
 use std::io::{BufReader, Read, Seek};
-use std::path::Path;
+use std::path::{Path, PathBuf};
 
 /// Default frame rate of a source without one, frames per second.
 const ASSUMED_FRAMES_PER_SECOND: f64 = 30.0;
@@ -59,7 +60,11 @@ pub struct Source {
 enum Clock {
     Container,
     Rate(f64),
-    List(Vec<f64>),
+    /// Times from a file of timestamps.
+    List {
+        file: PathBuf,
+        times: Vec<f64>,
+    },
 }
 
 /// Opens a recording: a video file, an image folder, a single image, a robot recording (MCAP, ROS
@@ -180,13 +185,13 @@ pub(crate) fn open_kind(path: &Path, options: &SourceOptions) -> Result<Opened> 
 
 /// Opens a regular file by what it starts with.
 fn open_file(path: &Path, length: u64, options: &SourceOptions) -> Result<Opened> {
-    let mut file = File::open(path).map_err(|error| Error::input(format!("cannot be opened: {error}")))?;
+    let mut file = File::open(path).map_err(unopened)?;
     let mut start = Vec::new();
     file.by_ref()
         .take(foreign_file::START_BYTES)
         .read_to_end(&mut start)
         .and_then(|_| file.rewind())
-        .map_err(|error| Error::input(format!("cannot be read: {error}")))?;
+        .map_err(unreadable)?;
     let video = |reader| video::open(Some(path), reader, options.color);
     match &start[..start.len().min(MAGIC_BYTES)] {
         [] => Err(Error::input("the file is empty; record or copy it again")),
@@ -230,7 +235,7 @@ impl Source {
                 // A part of the recording may need fewer times than the whole.
                 let is_whole = options.end_s.is_none() && options.max_frames.is_none();
                 check_number_of_times(&times, file, opened.frames_within.filter(|_| is_whole))?;
-                Clock::List(times)
+                Clock::List { file: file.clone(), times }
             }
             (None, Some(fps)) => Clock::Rate(fps),
             (None, None) if opened.times_known => Clock::Container,
@@ -348,9 +353,8 @@ impl Source {
 
     /// Warns at the last frame of a recording whose number of frames was not known before.
     fn warn_of_times_left(&mut self) {
-        let Clock::List(times) = &self.clock else { return };
+        let Clock::List { file, times } = &self.clock else { return };
         if !self.ended && times.len() as u64 > self.next_number + 1 {
-            let file = self.options.timestamps.as_deref().unwrap_or(Path::new("the file of timestamps"));
             self.warnings.push(format!(
                 "{} has {} times, but there were {} frames; the times may belong to other frames",
                 file.display(),
@@ -393,9 +397,7 @@ impl Source {
             let time_s = match &self.clock {
                 Clock::Container => source_time_s,
                 Clock::Rate(fps) => number as f64 / fps,
-                Clock::List(times) => *times.get(number as usize).ok_or_else(|| {
-                    let file =
-                        self.options.timestamps.as_deref().unwrap_or(Path::new("the file of timestamps"));
+                Clock::List { file, times } => *times.get(number as usize).ok_or_else(|| {
                     Error::input(format!(
                         "{} has {} times, but there are more frames; give a time for each frame",
                         file.display(),
@@ -488,17 +490,21 @@ mod tests {
         }
     }
 
-    #[test]
-    fn skipped_frames_count_as_given() {
-        let opened = Opened {
-            frames: Box::new(TimedFrames(vec![0.0, 0.5, 0.5, 1.0, 1.5].into_iter())),
-            frame_count: Some(5),
+    fn opened(times_s: Vec<f64>) -> Opened {
+        Opened {
+            frame_count: Some(times_s.len() as u64),
+            frames: Box::new(TimedFrames(times_s.into_iter())),
             frames_within: None,
             description: "times".into(),
             times_known: true,
             timestamps_used: false,
             frames_per_second: None,
-        };
+        }
+    }
+
+    #[test]
+    fn skipped_frames_count_as_given() {
+        let opened = opened(vec![0.0, 0.5, 0.5, 1.0, 1.5]);
         let options = SourceOptions { max_frames: Some(3), ..SourceOptions::default() };
         let mut source = Source::new("here".into(), opened, &options).unwrap();
         assert_eq!(source.skip_frame().unwrap(), Some(0.0));
@@ -511,15 +517,7 @@ mod tests {
 
     #[test]
     fn frames_with_non_increasing_times_are_dropped_with_a_warning() {
-        let opened = Opened {
-            frames: Box::new(TimedFrames(vec![-1.0, 0.0, 0.0, f64::NAN, -0.5, 2.0].into_iter())),
-            frame_count: Some(6),
-            frames_within: None,
-            description: "times".into(),
-            times_known: true,
-            timestamps_used: false,
-            frames_per_second: None,
-        };
+        let opened = opened(vec![-1.0, 0.0, 0.0, f64::NAN, -0.5, 2.0]);
         let mut source = Source::new("here".into(), opened, &SourceOptions::default()).unwrap();
         assert_eq!(source.info().description, "times, 1x1");
         let frames: Vec<_> = std::iter::from_fn(|| source.next_frame().unwrap()).collect();

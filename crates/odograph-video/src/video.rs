@@ -44,7 +44,6 @@ pub(crate) fn open(path: Option<&Path>, reader: Box<dyn PacketReader>, color: bo
         current: None,
         track: track.clone(),
         packet: Packet::default(),
-        warnings: Vec::new(),
     };
     // Decoding the first frame determines whether a decoder supports the stream.
     match video.fill() {
@@ -98,7 +97,6 @@ struct Video {
     current: Option<Picture>,
     track: VideoTrack,
     packet: Packet,
-    warnings: Vec<String>,
 }
 
 enum DecodeFailure {
@@ -146,13 +144,12 @@ impl Video {
                     self.damage(what);
                 }
                 Err(Refusal::Broken(error)) => {
-                    if !self.start_another()? {
-                        self.damage(error.to_string());
-                        self.ended = true;
-                    } else {
+                    if self.start_another()? {
                         decoded.clear();
                         continue;
                     }
+                    self.damage(error.to_string());
+                    self.ended = true;
                 }
             }
             for picture in decoded.drain(..) {
@@ -189,10 +186,8 @@ impl Video {
     /// Moves pictures from the reorder buffer to `ready` until at most `depth` remain.
     fn release(&mut self, depth: usize) {
         while self.waiting.len() > depth {
-            let first = |key: fn(&(u64, Decoded)) -> (u64, i64)| {
-                self.waiting.iter().enumerate().min_by_key(|(_, w)| key(w)).map(|(i, _)| i)
-            };
-            let Some(picture) = first(|(group, d)| (*group, d.order)) else { return };
+            let order = |(_, (group, decoded)): &(usize, &(u64, Decoded))| (*group, decoded.order);
+            let Some((picture, _)) = self.waiting.iter().enumerate().min_by_key(order) else { return };
             // The earliest timestamp belongs to the picture presented first. In a valid file that
             // is the same picture; with decoding timestamps only, it converts them to presentation
             // timestamps.
@@ -247,7 +242,6 @@ impl Frames for Video {
 
     fn take_warnings(&mut self) -> Vec<String> {
         let mut warnings = self.reader.take_warnings();
-        warnings.append(&mut self.warnings);
         if let Some(what) = self.first_damage.take() {
             let damaged = std::mem::take(&mut self.damaged);
             warnings.push(format!(

@@ -1,6 +1,7 @@
 //! YUV4MPEG2 (`.y4m`): uncompressed video with a one-line header, from a file or a pipe.
 
 use crate::codec::narrow_little_endian;
+use crate::file_error::unreadable;
 use crate::frame::{Chroma, Color, ColorEncoding, Picture};
 use crate::limits;
 use crate::opened::{Frames, Opened};
@@ -137,10 +138,7 @@ pub(crate) fn open<R: BufRead + Send + 'static>(
 /// Reads one line, without its line feed; `None` if it does not end.
 fn line(reader: &mut impl BufRead) -> Result<Option<String>> {
     let mut bytes = Vec::new();
-    reader
-        .take(MAX_LINE)
-        .read_until(b'\n', &mut bytes)
-        .map_err(|error| Error::input(format!("cannot be read: {error}")))?;
+    reader.take(MAX_LINE).read_until(b'\n', &mut bytes).map_err(unreadable)?;
     if bytes.pop_if(|b| *b == b'\n').is_none() && bytes.len() as u64 == MAX_LINE {
         return Ok(None);
     }
@@ -183,10 +181,7 @@ impl<R: BufRead> Y4m<R> {
         let bytes = samples * self.sample_bytes();
         let mut plane = std::mem::take(which(self));
         plane.clear();
-        let read = (&mut self.reader)
-            .take(bytes)
-            .read_to_end(&mut plane)
-            .map_err(|error| Error::input(format!("cannot be read: {error}")))?;
+        let read = (&mut self.reader).take(bytes).read_to_end(&mut plane).map_err(unreadable)?;
         *which(self) = plane;
         Ok(read as u64 == bytes)
     }

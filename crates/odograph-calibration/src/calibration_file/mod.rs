@@ -40,10 +40,9 @@ pub fn write(calibration: &Calibration, board: &Board) -> String {
     matrix(&mut text, "parameter_values", 1, &values);
     let deviations: Vec<f64> = parameters.iter().map(|parameter| parameter.deviation).collect();
     matrix(&mut text, "parameter_deviations", 1, &deviations);
-    let covariance = &calibration.covariance;
-    let by_rows: Vec<f64> =
-        covariance.row_iter().flat_map(|row| row.iter().copied().collect::<Vec<_>>()).collect();
-    matrix(&mut text, "parameter_covariance", covariance.nrows(), &by_rows);
+    // nalgebra stores matrices by columns.
+    let by_rows = calibration.covariance.transpose();
+    matrix(&mut text, "parameter_covariance", by_rows.ncols(), by_rows.as_slice());
     text
 }
 

@@ -1,5 +1,6 @@
 //! The printed pattern of a board as black rectangles and discs on a white sheet, in metres.
 
+use super::dictionary::bit;
 use super::{Board, BoardKind, BoardPoint, Dictionary};
 use std::ops::Range;
 
@@ -267,10 +268,9 @@ const TAG_CELLS: usize = 10;
 /// which is `border` cells wide.
 fn is_black_cell(marker: u64, bits: usize, border: usize, column: usize, row: usize) -> bool {
     let inside = border..border + bits;
-    if !inside.contains(&column) || !inside.contains(&row) {
-        return true;
-    }
-    marker >> (bits * bits - 1 - (row - border) * bits - (column - border)) & 1 == 0
+    !inside.contains(&column)
+        || !inside.contains(&row)
+        || bit(marker, bits, column - border, row - border) == 0
 }
 
 /// Merges the black cells of a raster into rectangles, returned as ranges of columns and rows. Each

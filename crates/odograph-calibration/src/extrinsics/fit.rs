@@ -78,16 +78,13 @@ pub fn fit(camera: &Camera, points: &[(GroundPoint, Pixel)], start: &GroundPose)
     for _ in 0..ROBUST_ROUNDS {
         pose = levenberg_marquardt(camera, points, &weights, pose)?;
         let errors = distances(camera, points, &pose)?;
-        let deviation = deviation_px(&errors, &weights);
+        let deviation = variance_px2(&errors, &weights).sqrt().max(SMALLEST_NOISE_PX);
         weights = errors.iter().map(|&e| (REACH * deviation / e.max(1e-12)).min(1.0)).collect();
     }
     let PoseSystem { information, .. } = system(camera, points, &weights, &pose)?;
     let errors = distances(camera, points, &pose)?;
     let n = points.len() as f64;
-    // Degrees of freedom: two coordinates per point, less six parameters.
-    let squares: f64 = errors.iter().zip(&weights).map(|(e, w)| w * e * e).sum();
-    let kept: f64 = weights.iter().sum();
-    let variance_px2 = squares / (2.0 * kept - 6.0).max(1.0);
+    let variance_px2 = variance_px2(&errors, &weights);
     let rms_px = (errors.iter().map(|e| e * e).sum::<f64>() / n).sqrt();
     Some(ViewPoseFit {
         pose,
@@ -105,11 +102,12 @@ const REACH: f64 = 3.0;
 /// Lower bound of the noise, pixels, for exact points in tests.
 const SMALLEST_NOISE_PX: f64 = 1e-6;
 
-/// Of a coordinate, from the weighted mean square distance.
-fn deviation_px(errors: &[f64], weights: &[f64]) -> f64 {
+/// Variance of a coordinate, from the weighted mean square distance.
+fn variance_px2(errors: &[f64], weights: &[f64]) -> f64 {
     let squares: f64 = errors.iter().zip(weights).map(|(e, w)| w * e * e).sum();
     let kept: f64 = weights.iter().sum();
-    (squares / (2.0 * kept - 6.0).max(1.0)).sqrt().max(SMALLEST_NOISE_PX)
+    // Degrees of freedom: two coordinates per point, less six parameters.
+    squares / (2.0 * kept - 6.0).max(1.0)
 }
 
 fn distances(camera: &Camera, points: &[(GroundPoint, Pixel)], pose: &GroundPose) -> Option<Vec<f64>> {

@@ -166,7 +166,7 @@ fn check(camera: &Camera, floor: &FloorBoard, views: &[BoardView]) -> Result<()>
     Ok(())
 }
 
-fn none_used(fits: &[std::result::Result<ViewPoseFit, LeftOut>]) -> Error {
+fn none_used(fits: &[Fitted]) -> Error {
     let why = fits.iter().find_map(|fit| fit.as_ref().err());
     Error::input(match why {
         Some(left_out) if fits.len() == 1 => format!("the rig cannot be measured: {}", left_out.why),
@@ -185,6 +185,9 @@ struct LeftOut {
     why: String,
     fit: Option<Box<ViewPoseFit>>,
 }
+
+/// The pose of a view, or the reason why it is excluded.
+type Fitted = std::result::Result<ViewPoseFit, LeftOut>;
 
 /// The combination of the used views.
 struct Together {
@@ -227,7 +230,7 @@ fn together<'a>(floor: &FloorBoard, fits: impl Iterator<Item = &'a ViewPoseFit> 
 }
 
 /// The pose of one view, or the reason why it has none.
-fn fitted(camera: &Camera, points: &[(GroundPoint, Pixel)]) -> std::result::Result<ViewPoseFit, LeftOut> {
+fn fitted(camera: &Camera, points: &[(GroundPoint, Pixel)]) -> Fitted {
     let refuse = |why: String, fit: Option<ViewPoseFit>| Err(LeftOut { why, fit: fit.map(Box::new) });
     if points.len() < FEWEST_POINTS {
         return refuse(
@@ -257,7 +260,7 @@ fn fitted(camera: &Camera, points: &[(GroundPoint, Pixel)]) -> std::result::Resu
     Ok(found)
 }
 
-fn mounting_view(fit: std::result::Result<ViewPoseFit, LeftOut>, thickness_m: f64) -> MountingView {
+fn mounting_view(fit: Fitted, thickness_m: f64) -> MountingView {
     let (fit, why_not) = match fit {
         Ok(fit) => (Some(fit), None),
         Err(LeftOut { why, fit }) => (fit.map(|fit| *fit), Some(why)),

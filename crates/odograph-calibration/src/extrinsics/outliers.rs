@@ -1,6 +1,6 @@
 //! Views that contradict the others.
 
-use super::{LeftOut, ViewPoseFit};
+use super::{Fitted, LeftOut, ViewPoseFit};
 use nalgebra::Matrix3;
 use odograph::error::{Error, Result};
 use odograph::numerics::{Part, combine, inverse};
@@ -18,7 +18,7 @@ const SAME_RIG: (f64, f64) = (0.05, 3.0);
 /// Excludes the views outside the largest consistent set around one of them; then those that
 /// contradict the rest by their own standard deviations. Fails if no two of several views are
 /// consistent.
-pub fn leave_out(fits: &mut [std::result::Result<ViewPoseFit, LeftOut>]) -> Result<()> {
+pub fn leave_out(fits: &mut [Fitted]) -> Result<()> {
     let all: Vec<(usize, ViewPoseFit)> = used(fits);
     let near = |fit: &ViewPoseFit| -> Vec<usize> {
         all.iter().filter(|(_, other)| may_be_of_one_rig(fit, other)).map(|(index, _)| *index).collect()
@@ -48,14 +48,14 @@ fn may_be_of_one_rig(a: &ViewPoseFit, b: &ViewPoseFit) -> bool {
 }
 
 /// The views that are used, with their indices.
-pub fn used(fits: &[std::result::Result<ViewPoseFit, LeftOut>]) -> Vec<(usize, ViewPoseFit)> {
+pub fn used(fits: &[Fitted]) -> Vec<(usize, ViewPoseFit)> {
     let used = fits.iter().enumerate();
     used.filter_map(|(index, fit)| Some((index, fit.as_ref().ok()?.clone()))).collect()
 }
 
 /// Excludes the views that contradict all others, worst first, while at least two others remain. Of
 /// two contradictory views either may be wrong.
-fn leave_out_one_by_one(fits: &mut [std::result::Result<ViewPoseFit, LeftOut>]) {
+fn leave_out_one_by_one(fits: &mut [Fitted]) {
     loop {
         let used = used(fits);
         if used.len() < 3 {

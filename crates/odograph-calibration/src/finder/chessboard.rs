@@ -83,8 +83,7 @@ pub(super) fn corners_of_squares(image: &GrayImage, most: usize) -> Vec<LatticeC
         let corner = Ring::read(image, start, RING_PX)
             .and_then(|_| subpixel::orthogonal_to_within(image, start, RING_PX, 0.05))
             .and_then(|pixel| Some(LatticeCorner { pixel, ring: Ring::read(image, pixel, RING_PX)? }));
-        let Some(corner) = corner else { continue };
-        corners.push(corner);
+        corners.extend(corner);
     }
     // Two response peaks may converge to the same corner.
     let mut by_row: Vec<usize> = (0..corners.len()).collect();

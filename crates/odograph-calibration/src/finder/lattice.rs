@@ -6,7 +6,7 @@
 //! black from white with the same polarity along its whole length. Nothing is assumed about
 //! perspective or lens distortion beyond one square.
 
-use super::ring::{Ring, bilinear};
+use super::ring::{Ring, interpolated};
 use odograph::geometry::Pixel;
 use odograph::image::GrayImage;
 use std::collections::{BTreeMap, VecDeque};
@@ -64,11 +64,7 @@ pub(super) fn edge_between(
     // Far enough from the edge to avoid its blur, and close enough to stay inside a narrow square.
     let aside = (0.15 * length).clamp(1.0, 6.0);
     let (sx, sy) = if white_right { (-uy * aside, ux * aside) } else { (uy * aside, -ux * aside) };
-    let sample = |x: f64, y: f64| {
-        let inside =
-            x >= 0.0 && y >= 0.0 && x < image.width() as f64 - 1.0 && y < image.height() as f64 - 1.0;
-        inside.then(|| bilinear(image, x, y))
-    };
+    let sample = |x: f64, y: f64| interpolated(image, Pixel::new(x, y));
     [0.2, 0.35, 0.5, 0.65, 0.8].iter().all(|t| {
         let (x, y) = (from.x + t * length * ux, from.y + t * length * uy);
         match (sample(x + sx, y + sy), sample(x - sx, y - sy)) {

@@ -120,12 +120,7 @@ pub struct BoardFinder {
 impl BoardFinder {
     /// A finder for a board.
     pub fn new(board: &Board) -> Self {
-        let tagged = match board.kind() {
-            BoardKind::Charuco { .. } => charuco::prepare(board),
-            BoardKind::AprilGrid { .. } => aprilgrid::prepare(board),
-            _ => None,
-        };
-        Self { board: *board, tagged }
+        Self { board: *board, tagged: prepare(board) }
     }
 
     /// The board to detect.
@@ -150,6 +145,11 @@ impl BoardFinder {
             _ => self.tagged.as_ref().ok_or(NotFound::NoMarkers)?.find(image),
         }
     }
+}
+
+/// The marker layout of a board; `None` for boards without markers.
+fn prepare(board: &Board) -> Option<tagged::TaggedBoard> {
+    charuco::prepare(board).or_else(|| aprilgrid::prepare(board))
 }
 
 /// The error that a board was found nowhere, and what to do: of so many frames or `pictures` that

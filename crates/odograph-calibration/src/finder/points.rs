@@ -1,9 +1,9 @@
 //! Sub-pixel localisation of one corner of a board with markers. The polarity of the four squares
 //! that meet there is known.
 
-use super::markers::interpolated;
 use super::pattern_fit::Pattern;
 use super::plane_map::{PlaneMap, least_width};
+use super::ring::interpolated;
 use super::subpixel;
 use crate::Drawing;
 use odograph::geometry::Pixel;

@@ -159,8 +159,16 @@ impl Ring {
     }
 }
 
+/// Bilinear interpolation; `None` outside the image.
+pub(super) fn interpolated(image: &GrayImage, at: Pixel) -> Option<f64> {
+    // False for NaN too.
+    let inside =
+        at.x >= 0.0 && at.y >= 0.0 && at.x < image.width() as f64 - 1.0 && at.y < image.height() as f64 - 1.0;
+    inside.then(|| bilinear(image, at.x, at.y))
+}
+
 /// Bilinear interpolation. The point must be inside the image, as [`Ring::read`] ensures.
-pub(super) fn bilinear(image: &GrayImage, x: f64, y: f64) -> f64 {
+fn bilinear(image: &GrayImage, x: f64, y: f64) -> f64 {
     let (left, top) = (x as usize, y as usize);
     let (fx, fy) = (x - left as f64, y - top as f64);
     let (upper, lower) = (&image.row(top)[left..left + 2], &image.row(top + 1)[left..left + 2]);

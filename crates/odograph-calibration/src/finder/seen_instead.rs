@@ -1,8 +1,7 @@
 //! Which board images show that do not show the expected one.
 
 use super::markers::{self, Codes, Marker, MarkerLayout};
-use super::tagged::TaggedBoard;
-use super::{BoardFinder, NotFound, aprilgrid, charuco, chessboard, circles};
+use super::{BoardFinder, NotFound, chessboard, circles, prepare};
 use crate::{Board, BoardKind, Dictionary};
 use odograph::image::GrayImage;
 use std::fmt;
@@ -223,11 +222,7 @@ fn read(images: &[GrayImage], codes: &Codes) -> Vec<Vec<Marker>> {
 
 /// Numbers of the markers that agree about a board, of all images.
 fn agreeing(board: &Board, seen: Seen<'_>) -> Vec<usize> {
-    let prepared: Option<TaggedBoard> = match board.kind() {
-        BoardKind::AprilGrid { .. } => aprilgrid::prepare(board),
-        _ => charuco::prepare(board),
-    };
-    let Some(prepared) = prepared else { return vec![] };
+    let Some(prepared) = prepare(board) else { return vec![] };
     let numbers = seen.iter().map(|read| prepared.numbers_agreeing(read));
     numbers.filter(|numbers| numbers.len() >= MIN_AGREEING).flatten().collect()
 }

@@ -3,42 +3,25 @@
 #![allow(clippy::unwrap_used, clippy::print_stdout)] // a panic fails the test
 
 use super::subpixel;
+use crate::test_random::gaussian;
 use odograph::geometry::Pixel;
 use odograph::image::GrayImage;
+use odograph::motion::Random;
 
 /// A rendered plane with 6x6 samples per pixel, Gaussian blur and noise.
-pub(super) struct PlaneScene<'a> {
-    pub size: (usize, usize),
+struct PlaneScene<'a> {
+    size: (usize, usize),
     /// Maps a pixel to square coordinates, with the corners at integers.
-    pub at: &'a dyn Fn(f64, f64) -> (f64, f64),
+    at: &'a dyn Fn(f64, f64) -> (f64, f64),
     /// Gray level at square coordinates.
-    pub gray: &'a dyn Fn(f64, f64) -> f64,
-    pub blur_px: f64,
-    pub noise: f64,
-    pub seed: u64,
-}
-
-/// SplitMix64: the same noise on every platform.
-pub(super) struct TestRandom(pub u64);
-
-impl TestRandom {
-    pub fn unit(&mut self) -> f64 {
-        self.0 = self.0.wrapping_add(0x9e37_79b9_7f4a_7c15);
-        let mut z = self.0;
-        z = (z ^ (z >> 30)).wrapping_mul(0xbf58_476d_1ce4_e5b9);
-        z = (z ^ (z >> 27)).wrapping_mul(0x94d0_49bb_1331_11eb);
-        ((z ^ (z >> 31)) >> 11) as f64 / (1u64 << 53) as f64
-    }
-
-    /// Standard normal random number (Box–Muller).
-    pub fn normal(&mut self) -> f64 {
-        let radius = (-2.0 * (1.0 - self.unit()).ln()).sqrt();
-        radius * (std::f64::consts::TAU * self.unit()).cos()
-    }
+    gray: &'a dyn Fn(f64, f64) -> f64,
+    blur_px: f64,
+    noise: f64,
+    seed: u64,
 }
 
 impl PlaneScene<'_> {
-    pub fn render(&self) -> GrayImage {
+    fn render(&self) -> GrayImage {
         let (width, height) = self.size;
         let mut plane = vec![0.0; width * height];
         const SIDE: usize = 6;
@@ -69,17 +52,17 @@ impl PlaneScene<'_> {
                 }
             }
         }
-        let mut random = TestRandom(self.seed);
+        let mut random = Random::new(self.seed);
         let samples = plane
             .iter()
-            .map(|value| (value + self.noise * random.normal()).round().clamp(0.0, 255.0) as u8)
+            .map(|value| (value + self.noise * gaussian(&mut random)).round().clamp(0.0, 255.0) as u8)
             .collect();
         GrayImage::from_samples(width, height, samples).unwrap()
     }
 }
 
 /// An infinite chessboard pattern.
-pub(super) fn squares(x: f64, y: f64) -> f64 {
+fn squares(x: f64, y: f64) -> f64 {
     if (x.floor() as i64 + y.floor() as i64) % 2 == 0 { 40.0 } else { 210.0 }
 }
 

@@ -133,7 +133,11 @@ impl ViewSelector {
 
     /// Numbers of the sightings in memory: only these can be selected, now or later.
     pub fn numbers(&self) -> impl Iterator<Item = u64> + '_ {
-        self.kept.iter().chain(self.last.iter().map(|(last, _)| last)).map(|kept| kept.sighting.number)
+        self.in_memory().map(|sighting| sighting.number)
+    }
+
+    fn in_memory(&self) -> impl Iterator<Item = &Sighting> {
+        self.kept.iter().chain(self.last.iter().map(|(last, _)| last)).map(|kept| &kept.sighting)
     }
 
     /// The selected sightings, sorted by number.
@@ -144,14 +148,8 @@ impl ViewSelector {
             .into_iter()
             .map(|index| whole.kept[index].sighting.number)
             .collect();
-        let last = self.last.iter().map(|(kept, _)| kept);
-        let mut chosen: Vec<&Sighting> = self
-            .kept
-            .iter()
-            .chain(last)
-            .map(|kept| &kept.sighting)
-            .filter(|s| numbers.contains(&s.number))
-            .collect();
+        let mut chosen: Vec<&Sighting> =
+            self.in_memory().filter(|sighting| numbers.contains(&sighting.number)).collect();
         chosen.sort_by_key(|sighting| sighting.number);
         chosen.dedup_by_key(|sighting| sighting.number);
         chosen

@@ -40,6 +40,13 @@ pub struct BundleState {
     pub poses: Vec<Isometry3<f64>>,
 }
 
+impl BundleState {
+    /// The same lens and board with the pose of a single view.
+    pub fn with_pose(&self, pose: Isometry3<f64>) -> Self {
+        Self { lens: self.lens, shape: self.shape, poses: vec![pose] }
+    }
+}
+
 /// The subset of a [`BundleState`] that is optimised.
 #[derive(Debug, Clone)]
 pub struct BundleUnknowns {
@@ -413,6 +420,20 @@ pub fn residuals<'a>(
         let [x, y] = lens.pixel(&(rotation * place(sight, shape) + shift))?;
         Some((sight.pixel.0 - x, sight.pixel.1 - y))
     })
+}
+
+/// Index and residual in x and y of each point of a view that has a valid projection, pixels, and
+/// the sum of their squares.
+pub fn listed_residuals(
+    state: &BundleState,
+    pose: &Isometry3<f64>,
+    sights: &[BoardCorrespondence],
+) -> (Vec<(usize, f64, f64)>, f64) {
+    let off = residuals(&state.lens, &state.shape, pose, sights);
+    let listed: Vec<(usize, f64, f64)> =
+        sights.iter().zip(off).filter_map(|(s, off)| off.map(|(dx, dy)| (s.index, dx, dy))).collect();
+    let squares = listed.iter().map(|(_, dx, dy)| dx * dx + dy * dy).sum();
+    (listed, squares)
 }
 
 /// Robust estimate of the detection noise per axis, pixels. It is the median residual length over

@@ -6,7 +6,7 @@ use super::fit::{HoldOut, LensFit};
 use super::quality::{ErrorMap, covariance, disagreement_px};
 use super::result::ModelComparison;
 use odograph::camera::{Camera, Distortion};
-use odograph::geometry::Pixel;
+use odograph::geometry::{Pixel, Ray};
 
 /// Relative differences of the mean square error below this value are insignificant.
 const MIN_LOSS: f64 = 0.002;
@@ -121,10 +121,11 @@ fn has_pole(camera: &Camera) -> bool {
     const MIN_DENOMINATOR: f64 = 0.2;
     const STEPS: u32 = 200;
     let Distortion::BrownConrady { k4, k5, k6, .. } = *camera.distortion() else { return false };
-    let (right, bottom) = (camera.width() as f64 - 1.0, camera.height() as f64 - 1.0);
-    let corners = [(0.0, 0.0), (right, 0.0), (0.0, bottom), (right, bottom)];
-    let rays = corners.into_iter().filter_map(|(x, y)| camera.ray_from_pixel(Pixel::new(x, y)));
-    let widest = rays.map(|ray| ray.x.powi(2) + ray.y.powi(2)).fold(0.0, f64::max);
+    let widest = corner_rays(camera)
+        .into_iter()
+        .flatten()
+        .map(|ray| ray.x.powi(2) + ray.y.powi(2))
+        .fold(0.0, f64::max);
     (0..=STEPS).map(|step| widest * f64::from(step) / f64::from(STEPS)).any(|r2| {
         let denominator = 1.0 + r2 * (k4 + r2 * (k5 + r2 * k6));
         denominator < MIN_DENOMINATOR
@@ -133,10 +134,15 @@ fn has_pole(camera: &Camera) -> bool {
 
 /// Whether an image corner is more than [`VERY_WIDE_RAD`] from the optical axis, or has no ray.
 fn is_very_wide(camera: &Camera) -> bool {
+    let limit = VERY_WIDE_RAD.tan();
+    corner_rays(camera).iter().any(|ray| ray.is_none_or(|ray| ray.x.hypot(ray.y) > limit))
+}
+
+/// The rays through the corners of the image, as far as there are any.
+fn corner_rays(camera: &Camera) -> [Option<Ray>; 4] {
     let (right, bottom) = (camera.width() as f64 - 1.0, camera.height() as f64 - 1.0);
-    [(0.0, 0.0), (right, 0.0), (0.0, bottom), (right, bottom)].into_iter().any(|(x, y)| {
-        camera.ray_from_pixel(Pixel::new(x, y)).is_none_or(|ray| ray.x.hypot(ray.y) > VERY_WIDE_RAD.tan())
-    })
+    [(0.0, 0.0), (right, 0.0), (0.0, bottom), (right, bottom)]
+        .map(|(x, y)| camera.ray_from_pixel(Pixel::new(x, y)))
 }
 
 #[cfg(test)]

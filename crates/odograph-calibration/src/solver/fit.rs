@@ -34,22 +34,9 @@ pub struct LensFit {
     pub noise_px: f64,
 }
 
-fn chosen<'a>(sights: &'a [Vec<BoardCorrespondence>], views: &[usize]) -> Vec<&'a [BoardCorrespondence]> {
+/// The correspondences of some of the views.
+pub fn chosen<'a>(sights: &'a [Vec<BoardCorrespondence>], views: &[usize]) -> Vec<&'a [BoardCorrespondence]> {
     views.iter().map(|&view| sights[view].as_slice()).collect()
-}
-
-/// The unknowns and priors of a lens model for a configuration.
-pub fn unknowns(
-    model: LensModel,
-    config: &CalibrationConfig,
-    size: (usize, usize),
-    shape: bool,
-) -> BundleUnknowns {
-    let (w, h) = (size.0 as f64, size.1 as f64);
-    let mut priors = vec![(2, (w - 1.0) / 2.0, w), (3, (h - 1.0) / 2.0, w)];
-    priors.extend(coefficient_priors(model));
-    let lens = free_numbers(model, config.square_pixels, config.centred, model.coefficients());
-    BundleUnknowns { lens, shape, poses: true, priors }
 }
 
 impl LensFit {
@@ -64,10 +51,15 @@ impl LensFit {
         size: (usize, usize),
     ) -> Self {
         let chosen_views = chosen(sights, views);
-        let middle = config.centred.then_some(((size.0 as f64 - 1.0) / 2.0, (size.1 as f64 - 1.0) / 2.0));
-        let lens = translated(&chosen_views, lens, poses, model, config.square_pixels, middle);
+        let (width, height) = (size.0 as f64, size.1 as f64);
+        let middle = ((width - 1.0) / 2.0, (height - 1.0) / 2.0);
+        let centred = config.centred.then_some(middle);
+        let lens = translated(&chosen_views, lens, poses, model, config.square_pixels, centred);
         let state = BundleState { lens, shape: [0.0; 5], poses: poses.to_vec() };
-        let unknowns = unknowns(model, config, size, false);
+        let mut priors = vec![(2, middle.0, width), (3, middle.1, width)];
+        priors.extend(coefficient_priors(model));
+        let free = free_numbers(model, config.square_pixels, config.centred, model.coefficients());
+        let unknowns = BundleUnknowns { lens: free, shape: false, poses: true, priors };
         let mut fit = Self { model, views: views.to_vec(), state, unknowns, noise_px: 1.0 };
         fit.adjust(sights);
         if fit.turn_mirrored(sights) {
@@ -130,7 +122,7 @@ impl LensFit {
     }
 
     fn refined(&self, sights: &[BoardCorrespondence], pose: Isometry3<f64>) -> Option<Isometry3<f64>> {
-        let mut one = BundleState { poses: vec![pose], ..self.state.clone() };
+        let mut one = self.state.with_pose(pose);
         adjust(&[sights], &mut one, &BundleUnknowns::poses_only(), 20);
         let pose = better_mirrored(sights, &one, self.noise_px).unwrap_or(one.poses[0]);
         pose.translation.vector.iter().all(|number| number.is_finite()).then_some(pose)
@@ -142,7 +134,7 @@ impl LensFit {
         let mut turned = false;
         for at in 0..self.views.len() {
             let view = &sights[self.views[at]];
-            let one = BundleState { poses: vec![self.state.poses[at]], ..self.state.clone() };
+            let one = self.state.with_pose(self.state.poses[at]);
             if robust_noise_px(&[view], &one, 6) > 1.5 * self.noise_px
                 && let Some(pose) = better_mirrored(view, &one, self.noise_px)
             {
@@ -180,7 +172,7 @@ impl LensFit {
         for _ in 0..6 {
             let noises: Vec<f64> = (0..self.views.len())
                 .map(|at| {
-                    let one = BundleState { poses: vec![self.state.poses[at]], ..self.state.clone() };
+                    let one = self.state.with_pose(self.state.poses[at]);
                     robust_noise_px(&[&sights[self.views[at]]], &one, 6)
                 })
                 .collect();
@@ -263,7 +255,7 @@ impl LensFit {
                 .minimise(&mut state, 12);
             for at in held {
                 let view = sights[self.views[at]].as_slice();
-                let mut one = BundleState { poses: vec![self.state.poses[at]], ..state.clone() };
+                let mut one = state.with_pose(self.state.poses[at]);
                 let poses_only = BundleUnknowns::poses_only();
                 Bundle { views: &[view], unknowns: &poses_only, noise_px: self.noise_px }
                     .minimise(&mut one, 12);
@@ -307,6 +299,6 @@ pub fn better_mirrored(
     let bundle = Bundle { views: &[sights], unknowns: &poses_only, noise_px };
     let mut here = state.clone();
     let cost_here = bundle.minimise(&mut here, 20);
-    let mut there = BundleState { poses: vec![mirrored_pose(&here.poses[0], middle)?], ..here };
+    let mut there = here.with_pose(mirrored_pose(&here.poses[0], middle)?);
     (bundle.minimise(&mut there, 20) < cost_here * 0.999).then(|| there.poses[0])
 }

@@ -24,9 +24,9 @@ pub use result::{
 };
 
 use super::{Board, BoardView};
-use bundle::{BoardCorrespondence, Bundle, residuals};
+use bundle::{BoardCorrespondence, Bundle, listed_residuals};
 use choice::Tried;
-use fit::LensFit;
+use fit::{LensFit, chosen};
 use nalgebra::Isometry3;
 use odograph::error::{Error, Result};
 use quality::{ErrorMap, covariance};
@@ -65,8 +65,7 @@ pub fn calibrate(board: &Board, views: &[BoardView], config: &CalibrationConfig)
         }
     }
     let compared = evenly(&usable, &sights, COMPARED_POINTS);
-    let chosen: Vec<&[BoardCorrespondence]> = compared.iter().map(|&view| sights[view].as_slice()).collect();
-    let (start_lens, poses) = start::start(&chosen, size).ok_or_else(|| {
+    let (start_lens, poses) = start::start(&chosen(&sights, &compared), size).ok_or_else(|| {
         Error::input(
             "no camera fits the views; check that the board's count and kind are right, and take views with more of it and more tilt",
         )
@@ -178,9 +177,8 @@ impl SolverOutcome {
             reasons: Vec::new(),
             error_map,
         };
-        let chosen: Vec<&[BoardCorrespondence]> =
-            fit.views.iter().map(|&view| sights[view].as_slice()).collect();
-        let evidence = verdict::Evidence { views: &chosen, distinct: sights::distinct(&chosen, size) };
+        let views = chosen(sights, &fit.views);
+        let evidence = verdict::Evidence { views: &views, distinct: sights::distinct(&views, size) };
         (calibration.verdict, calibration.reasons) = verdict::judge(&calibration, &evidence);
         Ok(calibration)
     }
@@ -201,31 +199,20 @@ impl SolverOutcome {
             if used && left_out > 0 {
                 why_not = Some(format!("{left_out} of its points lie far off and were left out"));
             }
-            let mut view = CalibratedView {
-                camera_from_board: place[number].map_or_else(Isometry3::identity, |at| state.poses[at]),
-                rms_px: f64::NAN,
-                residuals: Vec::new(),
+            let known = place[number].map(|at| state.poses[at]);
+            let pose = known.or_else(|| self.fit.pose(sights, &self.start_lens));
+            let (residuals, squares) =
+                pose.map_or_else(Default::default, |pose| listed_residuals(state, &pose, sights));
+            views.push(CalibratedView {
+                camera_from_board: pose.unwrap_or_else(Isometry3::identity),
+                // NaN without residuals.
+                rms_px: (squares / residuals.len() as f64).sqrt(),
+                residuals,
                 used,
                 why_not,
-            };
-            let posed = used || self.pose_unused(sights, &mut view);
-            if posed {
-                let off = residuals(&state.lens, &state.shape, &view.camera_from_board, sights);
-                let listed =
-                    sights.iter().zip(off).filter_map(|(s, off)| off.map(|(dx, dy)| (s.index, dx, dy)));
-                view.residuals = listed.collect();
-                let squares: f64 = view.residuals.iter().map(|(_, dx, dy)| dx * dx + dy * dy).sum();
-                view.rms_px = (squares / view.residuals.len() as f64).sqrt();
-            }
-            views.push(view);
+            });
         }
         views
-    }
-
-    fn pose_unused(&self, sights: &[BoardCorrespondence], view: &mut CalibratedView) -> bool {
-        let Some(pose) = self.fit.pose(sights, &self.start_lens) else { return false };
-        view.camera_from_board = pose;
-        true
     }
 
     /// What estimating the board shape too would gain. `None` if that is insignificant, or for too
@@ -237,8 +224,7 @@ impl SolverOutcome {
         }
         let mut bent = self.fit.clone();
         bent.unknowns.shape = true;
-        let views: Vec<&[BoardCorrespondence]> =
-            bent.views.iter().map(|&view| self.sights[view].as_slice()).collect();
+        let views = chosen(&self.sights, &bent.views);
         let noise_px = self.fit.noise_px;
         Bundle { views: &views, unknowns: &bent.unknowns, noise_px }.minimise(&mut bent.state, 10);
         let (before_px, after_px) = (self.fit.rms_px(&self.sights), bent.rms_px(&self.sights));

@@ -1,6 +1,6 @@
 //! Pose of a board relative to a calibrated camera.
 
-use super::bundle::{Bundle, BundleState, BundleUnknowns, adjust, residuals, robust_noise_px};
+use super::bundle::{Bundle, BundleState, BundleUnknowns, adjust, listed_residuals, robust_noise_px};
 use super::fit::better_mirrored;
 use super::lens::Lens;
 use super::result::BoardPose;
@@ -51,14 +51,7 @@ pub fn board_pose(camera: &Camera, board: &Board, view: &BoardView) -> Result<Bo
         noise_px = adjust(&views, &mut state, &poses_only, 50);
     }
     // With few points the median is unreliable; the RMS residual is used if it is larger.
-    let mut list = Vec::with_capacity(seen.len());
-    let mut squares = 0.0;
-    for (sight, off) in seen.iter().zip(residuals(&state.lens, &state.shape, &state.poses[0], &seen)) {
-        if let Some((dx, dy)) = off {
-            squares += dx * dx + dy * dy;
-            list.push((sight.index, dx, dy));
-        }
-    }
+    let (list, squares) = listed_residuals(&state, &state.poses[0], &seen);
     let rms_px = (squares / list.len().max(1) as f64).sqrt();
     let diagonal = (view.size.0 as f64).hypot(view.size.1 as f64);
     if list.len() < 4 || rms_px > 0.05 * diagonal || robust_noise_px(&views, &state, 6) > 0.02 * diagonal {

@@ -2,7 +2,7 @@
 //! image.
 
 use super::bundle::{BoardCorrespondence, Bundle, SHARED, counts_in_full, residuals};
-use super::fit::LensFit;
+use super::fit::{LensFit, chosen};
 use super::lens::{Free, Lens};
 use nalgebra::{DMatrix, Matrix2x3, Matrix3, Rotation3, SMatrix, Vector2, Vector3};
 use odograph::camera::Camera;
@@ -15,7 +15,7 @@ use odograph::geometry::Pixel;
 /// (mean of ψ')²`. For this loss the mean of ψ' over both axes is the share of inliers: beyond the
 /// threshold, the negative derivative along the residual cancels the positive one across it.
 pub fn covariance(fit: &LensFit, sights: &[Vec<BoardCorrespondence>]) -> DMatrix<f64> {
-    let views: Vec<&[BoardCorrespondence]> = fit.views.iter().map(|&view| sights[view].as_slice()).collect();
+    let views = chosen(sights, &fit.views);
     let count = fit.unknowns.shared();
     let (mut squares, mut weights, mut within, mut points) = (0.0, 0.0, 0.0, 0.0);
     for (view, pose) in views.iter().zip(&fit.state.poses) {

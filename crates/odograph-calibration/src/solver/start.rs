@@ -41,7 +41,7 @@ pub fn start(
 
     let known: Vec<_> = homographies.iter().flatten().copied().collect();
     let closed = zhang::focal_length_centred(&known);
-    let closed_free = zhang::closed_form(&known).map(|(fx, fy, ..)| (fx * fy).sqrt());
+    let closed_free = zhang::focal_length_free(&known);
     let guesses = closed.into_iter().chain(closed_free).chain(HALF_ANGLES.map(|a| 1.0 / a.to_radians()));
     let mut best: Option<(f64, Lens)> = None;
     let mut tried: Vec<f64> = Vec::new();
@@ -78,10 +78,9 @@ fn telling_views(homographies: &[Option<nalgebra::Matrix3<f64>>]) -> Vec<usize> 
         })
     };
     let usable: Vec<usize> = (0..homographies.len()).filter(|&view| homographies[view].is_some()).collect();
-    let mut strongest = usable.clone();
-    strongest.sort_by(|&a, &b| perspective(b).total_cmp(&perspective(a)));
-    strongest.truncate(VIEWS / 2);
-    let mut few = strongest;
+    let mut few = usable.clone();
+    few.sort_by(|&a, &b| perspective(b).total_cmp(&perspective(a)));
+    few.truncate(VIEWS / 2);
     let rest: Vec<usize> = usable.into_iter().filter(|view| !few.contains(view)).collect();
     let wanted = (VIEWS - few.len()).min(rest.len());
     few.extend((0..wanted).map(|i| rest[i * rest.len() / wanted]));

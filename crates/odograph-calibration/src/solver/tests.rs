@@ -2,20 +2,11 @@ use super::bundle::{BoardCorrespondence, Bundle, BundleState, BundleUnknowns, mo
 use super::lens::{Lens, free_numbers};
 use super::*;
 use crate::SeenPoint;
+use crate::test_random::{gaussian, unit};
 use nalgebra::{DVector, Translation3, UnitQuaternion, Vector3, Vector6};
 use odograph::camera::{Camera, Distortion};
 use odograph::geometry::{Pixel, Ray};
 use odograph::motion::Random;
-
-fn unit(random: &mut Random) -> f64 {
-    (random.bits() >> 11) as f64 / (1u64 << 53) as f64
-}
-
-/// Standard normal random number (Box–Muller).
-fn gaussian(random: &mut Random) -> f64 {
-    let radius = (-2.0 * (1.0 - unit(random)).ln()).sqrt();
-    radius * (std::f64::consts::TAU * unit(random)).cos()
-}
 
 /// A simulated camera and a handheld board.
 struct Waved {

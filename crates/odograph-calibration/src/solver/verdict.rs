@@ -28,11 +28,6 @@ pub fn judge(calibration: &Calibration, evidence: &Evidence<'_>) -> (Verdict, Ve
     let mut all: Vec<(Verdict, String)> = Vec::new();
     let (width, height) = (calibration.camera.width() as f64, calibration.camera.height() as f64);
     let unit_px = width.hypot(height) / 800.0;
-    let grade = |value: f64, good: f64, usable: f64| match value {
-        value if value <= good => Verdict::Good,
-        value if value <= usable => Verdict::Usable,
-        _ => Verdict::DoItAgain,
-    };
     few_views(calibration, evidence, &mut all);
 
     let rms = grade(calibration.rms_px, GOOD_RMS_PX * unit_px, USABLE_RMS_PX * unit_px);
@@ -76,6 +71,14 @@ pub fn judge(calibration: &Calibration, evidence: &Evidence<'_>) -> (Verdict, Ve
     (worst, all.into_iter().map(|(_, why)| why).collect())
 }
 
+fn grade(value: f64, good: f64, usable: f64) -> Verdict {
+    match value {
+        value if value <= good => Verdict::Good,
+        value if value <= usable => Verdict::Usable,
+        _ => Verdict::DoItAgain,
+    }
+}
+
 fn few_views(calibration: &Calibration, evidence: &Evidence<'_>, all: &mut Vec<(Verdict, String)>) {
     let used = calibration.views_used();
     let given = calibration.views.len();
@@ -103,11 +106,7 @@ fn few_views(calibration: &Calibration, evidence: &Evidence<'_>, all: &mut Vec<(
 fn tilt_and_focal(calibration: &Calibration, all: &mut Vec<(Verdict, String)>) {
     let focal = focal_uncertainty(calibration);
     let tilted = calibration.views.iter().filter(|view| view.used && view.tilt_rad() > TILTED_RAD).count();
-    let verdict = match focal {
-        focal if focal <= GOOD_FOCAL => Verdict::Good,
-        focal if focal <= USABLE_FOCAL => Verdict::Usable,
-        _ => Verdict::DoItAgain,
-    };
+    let verdict = grade(focal, GOOD_FOCAL, USABLE_FOCAL);
     if verdict == Verdict::Good {
         return;
     }
@@ -157,10 +156,10 @@ fn uncovered(
     let (mut names, mut guessed, mut worst_px) = (Vec::new(), Vec::new(), 0.0f64);
     for (name, x, y) in corners {
         // A corner region extends over a fifth of the image in each direction.
-        let near = |sight: &&BoardCorrespondence| {
+        let near = |sight: &BoardCorrespondence| {
             (sight.pixel.0 - x).abs() < 0.2 * right && (sight.pixel.1 - y).abs() < 0.2 * bottom
         };
-        let covered = evidence.views.iter().flat_map(|view| view.iter()).any(|sight| near(&sight));
+        let covered = evidence.views.iter().copied().flatten().any(near);
         let error_px = calibration.expected_error_px(Pixel::new(x, y)).unwrap_or(0.0);
         if error_px > 2.0 * GOOD_ERROR_PX * unit_px {
             worst_px = worst_px.max(error_px);
@@ -182,7 +181,8 @@ fn uncovered(
     if worst_px == 0.0 {
         return;
     }
-    let error = format!("rays there may be {worst_px:.1} px off");
+    let there = if names.is_empty() { "" } else { "there " };
+    let error = format!("rays {there}may be {worst_px:.1} px off");
     let what = match names.as_slice() {
         [] => format!(
             "{error}, in the corners of the image: bring the board closer to them, or take a lens model with fewer coefficients"
@@ -193,8 +193,6 @@ fn uncovered(
             many.join(" and ")
         ),
     };
-    let what =
-        what.replace("rays there may be", if names.is_empty() { "rays may be" } else { "rays there may be" });
     let verdict =
         if worst_px > 4.0 * USABLE_ERROR_PX * unit_px { Verdict::DoItAgain } else { Verdict::Usable };
     all.push((verdict, what));

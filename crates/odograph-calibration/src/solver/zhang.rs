@@ -112,10 +112,10 @@ pub fn focal_length_centred(homographies: &[Matrix3<f64>]) -> Option<f64> {
     (inverse_square > 0.0 && denominator > 0.0).then(|| 1.0 / inverse_square.sqrt())
 }
 
-/// Zhang's closed-form camera matrix with all five parameters (2000, appendix B), from the image of
-/// the absolute conic; needs at least three views. Returns fx, fy, cx, cy in units of `unit_px`
-/// relative to the image centre. `None` if the conic is invalid.
-pub fn closed_form(homographies: &[Matrix3<f64>]) -> Option<(f64, f64, f64, f64)> {
+/// Zhang's closed-form focal length from a camera matrix with all five parameters (2000, appendix
+/// B), from the image of the absolute conic; needs at least three views. Returns the geometric mean
+/// of both focal lengths in units of `unit_px`. `None` if the conic is invalid.
+pub fn focal_length_free(homographies: &[Matrix3<f64>]) -> Option<f64> {
     if homographies.len() < 3 {
         return None;
     }
@@ -150,8 +150,5 @@ pub fn closed_form(homographies: &[Matrix3<f64>]) -> Option<(f64, f64, f64, f64)
     let scale = b33 - (b13 * b13 + cy * (b12 * b13 - b11 * b23)) / b11;
     let fx = (scale / b11).sqrt();
     let fy = (scale * b11 / minor).sqrt();
-    let skew = -b12 * fx * fx * fy / scale;
-    let cx = skew * cy / fy - b13 * fx * fx / scale;
-    let all = (fx, fy, cx, cy);
-    (fx.is_finite() && fy.is_finite() && cx.is_finite() && cy.is_finite()).then_some(all)
+    (fx.is_finite() && fy.is_finite()).then(|| (fx * fy).sqrt())
 }

@@ -10,21 +10,6 @@ use odograph_simulation::{BoardEffects, BoardScene};
 /// The rig of all views.
 const RIG: Rig = Rig { height_m: 0.75, roll_rad: 0.06, pitch_rad: -0.09, yaw_rad: 0.4, lever_arm: None };
 
-/// A pose of [`RIG`] with the board somewhere below it.
-fn pose(random: &mut Random) -> GroundPose {
-    let place = |random: &mut Random| (random.below(1000) as f64 / 1000.0 - 0.5) * 0.2;
-    GroundPose {
-        x_m: place(random) - 0.2,
-        y_m: place(random) - 0.28,
-        heading_rad: RIG.yaw_rad,
-        ..RIG.first_pose()
-    }
-}
-
-fn errors(rig: &Rig) -> Vector3<f64> {
-    Vector3::new(rig.height_m - RIG.height_m, rig.roll_rad - RIG.roll_rad, rig.pitch_rad - RIG.pitch_rad)
-}
-
 /// Three rendered images of a floor with the board at different places, and the corner finder.
 #[test]
 fn rendered_pictures_give_what_is_asked() {
@@ -36,11 +21,12 @@ fn rendered_pictures_give_what_is_asked() {
     let mut random = Random::new(11);
     let mut views = Vec::new();
     for seed in 0..3 {
+        // Images that show the whole board.
+        let mut aside_m = || (random.below(1000) as f64 / 1000.0 - 0.5) * 0.04;
+        let (x_m, y_m) = (0.125 + aside_m(), -0.185 + aside_m());
+        let pose = GroundPose { x_m, y_m, heading_rad: RIG.yaw_rad, ..RIG.first_pose() };
         // The board's frame has y down the print and z into the paper: a half turn about its x
         // axis.
-        let mut pose = pose(&mut random);
-        // Images that show the whole board.
-        (pose.x_m, pose.y_m) = (0.125 + 0.2 * (pose.x_m + 0.2), -0.185 + 0.2 * (pose.y_m + 0.28));
         let half_turn = nalgebra::UnitQuaternion::from_axis_angle(&Vector3::x_axis(), std::f64::consts::PI);
         let world_from_board = nalgebra::Isometry3::from_parts(nalgebra::Translation3::identity(), half_turn);
         let camera_from_board = pose.world_from_camera().inverse() * world_from_board;
@@ -49,7 +35,8 @@ fn rendered_pictures_give_what_is_asked() {
         views.push(BoardFinder::new(&floor.board).find(&image).unwrap_or_else(|why| panic!("{why}")));
     }
     let found = rig_from_boards(&camera, None, &floor, &views).unwrap();
-    let off = errors(&found.measured.rig);
+    let rig = &found.measured.rig;
+    let off = [rig.height_m - RIG.height_m, rig.roll_rad - RIG.roll_rad, rig.pitch_rad - RIG.pitch_rad];
     println!(
         "height {:+.3} % tilt {:+.4}° {:+.4}° yaw {:+.4}°",
         100.0 * off[0] / RIG.height_m,

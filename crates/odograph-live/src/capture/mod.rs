@@ -17,8 +17,9 @@ pub use newest::{Newest, Policy, Taken};
 pub use raw_frames::{RawFormat, RawFrames};
 pub use recording::Recording;
 
-use odograph::error::Result;
+use odograph::error::{Error, Result};
 use odograph::filter::fusion::Sensors;
+use odograph::image::GrayImage;
 use odograph_video::{Frame, SourceInfo};
 use std::sync::atomic::{AtomicBool, AtomicU64, Ordering};
 use std::sync::{Arc, Mutex, PoisonError};
@@ -71,6 +72,18 @@ pub trait LiveSource: Send {
     fn dropped(&self) -> u64 {
         0
     }
+}
+
+/// Checks that the image of a camera at `place` has the size of its first one.
+fn check_size(place: &str, image: &GrayImage, first: &SourceInfo) -> Result<()> {
+    let (width, height) = (image.width(), image.height());
+    if (width, height) != (first.width, first.height) {
+        return Err(Error::input(format!(
+            "{place} now sends {width}x{height} pixels, at first it was {}x{}; a camera must keep its size",
+            first.width, first.height
+        )));
+    }
+    Ok(())
 }
 
 /// State shared by a source and its consumers: stop request and connection status.

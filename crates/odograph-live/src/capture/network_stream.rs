@@ -1,7 +1,7 @@
 //! A network stream decoded by another program (RTSP), with automatic reconnection.
 
 use super::back_off::BackOff;
-use super::{Captured, LiveSource, Watch};
+use super::{Captured, LiveSource, Watch, check_size};
 use odograph::error::{Error, Result};
 use odograph_video::{Frame, Source, SourceInfo};
 use std::time::{Duration, Instant};
@@ -85,13 +85,7 @@ impl NetworkStream {
 
     /// Assigns frame number and timestamp within the whole recording.
     fn placed(&mut self, mut frame: Frame) -> Result<Captured> {
-        let size = (frame.gray.width(), frame.gray.height());
-        if size != (self.info.width, self.info.height) {
-            return Err(Error::input(format!(
-                "{} now sends {}x{} pixels, at first it was {}x{}; a camera must keep its size",
-                self.place, size.0, size.1, self.info.width, self.info.height
-            )));
-        }
+        check_size(&self.place, &frame.gray, &self.info)?;
         let at = Instant::now();
         let shift_s = *self.shift_s.get_or_insert_with(|| match self.newest {
             Some((before, time_s)) => time_s + (at - before).as_secs_f64() - frame.time_s,

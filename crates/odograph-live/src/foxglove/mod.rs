@@ -150,13 +150,14 @@ impl McapFile {
         }
         self.frames = self.frames.saturating_add(1);
         self.newest = self.newest.max(at);
-        for (channel_id, text) in messages {
-            let header = MessageHeader { channel_id, sequence: self.frames, log_time: at, publish_time: at };
-            self.writer
-                .write_to_known_channel(&header, text.as_bytes())
-                .map_err(|error| cannot_be_written(&self.path, error))?;
-        }
-        Ok(())
+        messages.into_iter().try_for_each(|(channel, text)| self.write(at, channel, &text))
+    }
+
+    fn write(&mut self, at: u64, channel_id: u16, text: &str) -> Result<()> {
+        let header = MessageHeader { channel_id, sequence: self.frames, log_time: at, publish_time: at };
+        self.writer
+            .write_to_known_channel(&header, text.as_bytes())
+            .map_err(|error| cannot_be_written(&self.path, error))
     }
 
     /// Number of frames written.
@@ -169,14 +170,11 @@ impl McapFile {
     /// # Errors
     /// If the file cannot be written.
     pub fn finish(mut self) -> Result<()> {
-        let cannot = |error| cannot_be_written(&self.path, error);
         if self.frames > 0 {
-            let (channel_id, sequence, at) = (self.channels.path, self.frames, self.newest);
-            let header = MessageHeader { channel_id, sequence, log_time: at, publish_time: at };
-            let text = messages::path(at, &self.sketch.stretches()).to_string();
-            self.writer.write_to_known_channel(&header, text.as_bytes()).map_err(cannot)?;
+            let path = messages::path(self.newest, &self.sketch.stretches());
+            self.write(self.newest, self.channels.path, &path.to_string())?;
         }
-        self.writer.finish().map_err(cannot)?;
+        self.writer.finish().map_err(|error| cannot_be_written(&self.path, error))?;
         Ok(())
     }
 }

@@ -10,6 +10,12 @@ pub struct Schema {
     pub json: Value,
 }
 
+impl Schema {
+    fn new(name: &'static str, fields: &[(&str, Value)]) -> Self {
+        Self { name, json: object(name, fields) }
+    }
+}
+
 /// An object whose fields are all required.
 fn object(title: &str, fields: &[(&str, Value)]) -> Value {
     let names: Vec<&str> = fields.iter().map(|(name, _)| *name).collect();
@@ -65,36 +71,36 @@ fn pairs() -> Value {
 }
 
 pub fn frame_transform() -> Schema {
-    let name = "foxglove.FrameTransform";
-    let fields = [
-        ("timestamp", time()),
-        ("parent_frame_id", of_type("string")),
-        ("child_frame_id", of_type("string")),
-        ("translation", vector()),
-        ("rotation", quaternion()),
-    ];
-    Schema { name, json: object(name, &fields) }
+    Schema::new(
+        "foxglove.FrameTransform",
+        &[
+            ("timestamp", time()),
+            ("parent_frame_id", of_type("string")),
+            ("child_frame_id", of_type("string")),
+            ("translation", vector()),
+            ("rotation", quaternion()),
+        ],
+    )
 }
 
 pub fn pose_in_frame() -> Schema {
-    let name = "foxglove.PoseInFrame";
     let fields = [("timestamp", time()), ("frame_id", of_type("string")), ("pose", pose())];
-    Schema { name, json: object(name, &fields) }
+    Schema::new("foxglove.PoseInFrame", &fields)
 }
 
 pub fn compressed_image() -> Schema {
-    let name = "foxglove.CompressedImage";
-    let fields = [
-        ("timestamp", time()),
-        ("frame_id", of_type("string")),
-        ("data", json!({ "type": "string", "contentEncoding": "base64" })),
-        ("format", of_type("string")),
-    ];
-    Schema { name, json: object(name, &fields) }
+    Schema::new(
+        "foxglove.CompressedImage",
+        &[
+            ("timestamp", time()),
+            ("frame_id", of_type("string")),
+            ("data", json!({ "type": "string", "contentEncoding": "base64" })),
+            ("format", of_type("string")),
+        ],
+    )
 }
 
 pub fn image_annotations() -> Schema {
-    let name = "foxglove.ImageAnnotations";
     let points = object(
         "foxglove.PointsAnnotation",
         &[
@@ -111,11 +117,10 @@ pub fn image_annotations() -> Schema {
     // Circles and texts are part of the type and always empty.
     let nothing = || array(of_type("object"));
     let fields = [("circles", nothing()), ("points", array(points)), ("texts", nothing())];
-    Schema { name, json: object(name, &fields) }
+    Schema::new("foxglove.ImageAnnotations", &fields)
 }
 
 pub fn scene_update() -> Schema {
-    let name = "foxglove.SceneUpdate";
     let deletion = object(
         "foxglove.SceneEntityDeletion",
         &[("timestamp", time()), ("type", of_type("integer")), ("id", of_type("string"))],
@@ -163,20 +168,22 @@ pub fn scene_update() -> Schema {
             ("models", nothing()),
         ],
     );
-    Schema { name, json: object(name, &[("deletions", array(deletion)), ("entities", array(entity))]) }
+    let fields = [("deletions", array(deletion)), ("entities", array(entity))];
+    Schema::new("foxglove.SceneUpdate", &fields)
 }
 
 pub fn log() -> Schema {
-    let name = "foxglove.Log";
-    let fields = [
-        ("timestamp", time()),
-        ("level", of_type("integer")),
-        ("message", of_type("string")),
-        ("name", of_type("string")),
-        ("file", of_type("string")),
-        ("line", of_type("integer")),
-    ];
-    Schema { name, json: object(name, &fields) }
+    Schema::new(
+        "foxglove.Log",
+        &[
+            ("timestamp", time()),
+            ("level", of_type("integer")),
+            ("message", of_type("string")),
+            ("name", of_type("string")),
+            ("file", of_type("string")),
+            ("line", of_type("integer")),
+        ],
+    )
 }
 
 /// The fields of `--print poses`, so that each of them can be plotted.
@@ -191,17 +198,18 @@ pub fn frame() -> Schema {
             "covariance_x_y_heading": array(array(of_type("number"))),
         },
     });
-    let name = "odograph.Frame";
-    let fields = [
-        ("frame", of_type("integer")),
-        ("time_s", of_type("number")),
-        ("status", of_type("string")),
-        ("segment", of_type("integer")),
-        ("tracks", of_type("integer")),
-        ("inliers", of_type("integer")),
-        ("residual_px", of_type("number")),
-        ("latency_ms", number_or_nothing()),
-        ("pose", pose),
-    ];
-    Schema { name, json: object(name, &fields) }
+    Schema::new(
+        "odograph.Frame",
+        &[
+            ("frame", of_type("integer")),
+            ("time_s", of_type("number")),
+            ("status", of_type("string")),
+            ("segment", of_type("integer")),
+            ("tracks", of_type("integer")),
+            ("inliers", of_type("integer")),
+            ("residual_px", of_type("number")),
+            ("latency_ms", number_or_nothing()),
+            ("pose", pose),
+        ],
+    )
 }

@@ -159,8 +159,7 @@ fn file<'a>(shared: &'a LiveServerState, name: &str) -> Option<(File, &'a str)> 
     file.metadata().ok()?.is_file().then_some((file, known.as_str()))
 }
 
-fn send_file(mut file: File, name: &str, request: &Request, stream: &mut Deadlined) -> io::Result<()> {
-    let length = file.metadata()?.len();
+fn send_file(file: File, name: &str, request: &Request, stream: &mut Deadlined) -> io::Result<()> {
     let content_type = match name.rsplit('.').next() {
         Some("html") => "text/html; charset=utf-8",
         Some("svg") => "image/svg+xml",
@@ -172,7 +171,7 @@ fn send_file(mut file: File, name: &str, request: &Request, stream: &mut Deadlin
     let plain: String = name.rsplit('/').next().unwrap_or(name).chars().map(safe_in_header).collect();
     let answer =
         Answer::ok(content_type, []).with("Content-Disposition", format!("attachment; filename=\"{plain}\""));
-    send_contents(&mut file, length, &answer, request, stream)
+    send_contents(file, &answer, request, stream)
 }
 
 /// Whether the files of the run are complete.
@@ -194,12 +193,11 @@ fn archive(shared: &LiveServerState) -> Option<Archive> {
 
 /// Sends the report to be looked at. It is self-contained, and in a sandbox it has an origin of its
 /// own: it cannot act with that of this page.
-fn send_report(mut file: File, request: &Request, stream: &mut Deadlined) -> io::Result<()> {
+fn send_report(file: File, request: &Request, stream: &mut Deadlined) -> io::Result<()> {
     const POLICY: &str = "sandbox allow-scripts allow-popups; default-src 'none'; img-src data:; \
                           style-src 'unsafe-inline'; script-src 'unsafe-inline'; frame-ancestors 'none'";
-    let length = file.metadata()?.len();
     let answer = Answer { policy: Some(POLICY), ..Answer::ok("text/html; charset=utf-8", []) };
-    send_contents(&mut file, length, &answer, request, stream)
+    send_contents(file, &answer, request, stream)
 }
 
 fn send_archive(archive: &Archive, request: &Request, stream: &mut Deadlined) -> io::Result<()> {
@@ -217,12 +215,12 @@ fn send_archive(archive: &Archive, request: &Request, stream: &mut Deadlined) ->
 }
 
 fn send_contents(
-    file: &mut File,
-    length: u64,
+    mut file: File,
     answer: &Answer,
     request: &Request,
     stream: &mut Deadlined,
 ) -> io::Result<()> {
+    let length = file.metadata()?.len();
     stream.allow(ANSWER_PATIENCE);
     stream.write_all(answer.head(length, request.keep_alive).as_bytes())?;
     if request.method == Method::Head {

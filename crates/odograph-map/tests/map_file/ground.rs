@@ -1,13 +1,15 @@
 //! A small map over rendered ground, for the tests in this folder.
 
 use nalgebra::{Matrix4, Matrix6, Vector4};
-use odograph::camera::{Camera, Distortion};
+use odograph::camera::{Camera, Distortion, Rig};
 use odograph::geometry::GroundPose;
 use odograph::ground_map::{KeyframeImage, MapKeyframe};
 use odograph::image::{GrayImage, RgbImage};
 use odograph::keyframe::{EdgeKind, KeyframeId, MapEdge};
 use odograph::place_recognition::{GroundFeature, Signature};
+use odograph_map::MapFile;
 use odograph_simulation::{Ground, Renderer, Texture};
+use std::path::Path;
 
 /// A small camera with lens distortion.
 pub fn camera() -> Camera {
@@ -75,6 +77,17 @@ pub fn gray(pose: &GroundPose) -> GrayImage {
 
 pub fn image(number: u64) -> KeyframeImage {
     KeyframeImage { gray: gray(&pose(number)), color: None }
+}
+
+/// A new map of one session, with its first keyframes and the edges between them.
+pub fn map_of(path: &Path, keyframes: u64) -> MapFile {
+    let mut map = MapFile::create(path, &camera(), &Rig::level(0.5)).unwrap();
+    let session = map.begin_session("drive.mp4").unwrap();
+    for number in 0..keyframes {
+        let edges = if number > 0 { vec![edge_to(number)] } else { vec![] };
+        map.add_keyframe(&keyframe(number, session), &image(number), &edges).unwrap();
+    }
+    map
 }
 
 /// A colour image whose gray is in limited video range: 16 to 235 for black to white.

@@ -3,7 +3,6 @@
 
 use crate::ground;
 use crate::repeated_rows;
-use odograph::camera::Rig;
 use odograph::ground_map::KeyframeImages;
 use odograph::keyframe::KeyframeId;
 use odograph_map::MapFile;
@@ -17,12 +16,7 @@ fn good() -> &'static [u8] {
     BYTES.get_or_init(|| {
         let folder = tempfile::tempdir().unwrap();
         let path = folder.path().join("map.gpkg");
-        let mut map = MapFile::create(&path, &ground::camera(), &Rig::level(0.5)).unwrap();
-        map.begin_session("drive.mp4").unwrap();
-        for number in 0..3 {
-            let edges = if number > 0 { vec![ground::edge_to(number)] } else { vec![] };
-            map.add_keyframe(&ground::keyframe(number, 0), &ground::image(number), &edges).unwrap();
-        }
+        let mut map = ground::map_of(&path, 3);
         map.render_mosaic(Some(0.02), &mut |_| true).unwrap();
         map.close().unwrap();
         std::fs::read(path).unwrap()

@@ -117,11 +117,7 @@ fn what_a_mask_covers_is_not_in_the_mosaic() {
 #[test]
 fn a_geotiff_ends_where_the_ground_does() {
     let folder = tempfile::tempdir().unwrap();
-    let mut map =
-        MapFile::create(&folder.path().join("map.gpkg"), &ground::camera(), &Rig::level(0.5)).unwrap();
-    for number in 0..12 {
-        map.add_keyframe(&ground::keyframe(number, 0), &ground::image(number), &[]).unwrap();
-    }
+    let mut map = ground::map_of(&folder.path().join("map.gpkg"), 12);
     map.render_mosaic(Some(0.004), &mut |_| true).unwrap();
     let layer = map.mosaic().unwrap().unwrap();
     let mut bytes = Cursor::new(Vec::new());

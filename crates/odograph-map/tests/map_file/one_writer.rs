@@ -23,9 +23,7 @@ fn assert_refused<T>(result: Result<T>) {
 fn a_map_has_one_writer_at_a_time() {
     let folder = tempfile::tempdir().unwrap();
     let path = folder.path().join("map.gpkg");
-    let mut map = create(&path).unwrap();
-    let session = map.begin_session("drive.mp4").unwrap();
-    map.add_keyframe(&ground::keyframe(0, session), &ground::image(0), &[]).unwrap();
+    let map = ground::map_of(&path, 1);
     assert_refused(MapFile::open(&path));
     assert_refused(MapClaim::on(&path));
     assert_refused(MapFile::remove(&path));
@@ -91,9 +89,7 @@ fn unfinished_maps_of_dead_programs_are_replaced() {
 fn a_map_can_be_closed_while_it_is_read() {
     let folder = tempfile::tempdir().unwrap();
     let path = folder.path().join("map.gpkg");
-    let mut map = create(&path).unwrap();
-    let session = map.begin_session("drive.mp4").unwrap();
-    map.add_keyframe(&ground::keyframe(0, session), &ground::image(0), &[]).unwrap();
+    let map = ground::map_of(&path, 1);
     let looking = rusqlite::Connection::open(&path).unwrap();
     looking.execute_batch("BEGIN; SELECT count(*) FROM keyframes;").unwrap();
     map.close().unwrap();
@@ -105,21 +101,12 @@ fn a_map_can_be_closed_while_it_is_read() {
 fn a_replaced_map_keeps_nothing_of_the_log_of_a_killed_writer() {
     let folder = tempfile::tempdir().unwrap();
     let (path, new) = (folder.path().join("map.gpkg"), folder.path().join("map.gpkg.part"));
-    let filled = |path: &Path, keyframes: u64| {
-        let mut map = create(path).unwrap();
-        let session = map.begin_session("drive.mp4").unwrap();
-        for number in 0..keyframes {
-            let edges = if number > 0 { vec![ground::edge_to(number)] } else { vec![] };
-            map.add_keyframe(&ground::keyframe(number, session), &ground::image(0), &edges).unwrap();
-        }
-        map
-    };
     // The files of a program that was killed: the keyframes are in the log.
-    let writing = filled(&path, 4);
+    let writing = ground::map_of(&path, 4);
     let left = ["map.gpkg", "map.gpkg-wal"].map(|name| (name, fs::read(folder.path().join(name)).unwrap()));
     drop(writing);
     left.iter().for_each(|(name, bytes)| fs::write(folder.path().join(name), bytes).unwrap());
-    filled(&new, 2).close().unwrap();
+    ground::map_of(&new, 2).close().unwrap();
     let claim = MapClaim::on(&path).unwrap();
     // Before anything else the old map gets what its log has.
     assert!(MapFile::replace(&claim, &folder.path().join("none.part")).is_err());

@@ -3,7 +3,6 @@
 
 use crate::ground;
 use crate::repeated_rows;
-use odograph::camera::Rig;
 use odograph::keyframe::KeyframeId;
 use odograph_map::{MapFile, PathFrame, Repair, repair};
 use rusqlite::Connection;
@@ -20,12 +19,7 @@ fn good() -> &'static [u8] {
     BYTES.get_or_init(|| {
         let folder = tempfile::tempdir().unwrap();
         let path = folder.path().join("map.gpkg");
-        let mut map = MapFile::create(&path, &ground::camera(), &Rig::level(0.5)).unwrap();
-        map.begin_session("drive.mp4").unwrap();
-        for number in 0..KEYFRAMES {
-            let edges = if number > 0 { vec![ground::edge_to(number)] } else { vec![] };
-            map.add_keyframe(&ground::keyframe(number, 0), &ground::image(number), &edges).unwrap();
-        }
+        let mut map = ground::map_of(&path, KEYFRAMES);
         let frame = |frame| PathFrame {
             frame,
             segment: 0,

@@ -43,11 +43,7 @@ fn marks<'a>(views: &'a [ShownView<'_>], used: bool) -> impl Iterator<Item = &'a
         views.iter().filter(move |view| view.why_not.is_none() == used).flat_map(|view| &view.residuals)
     };
     let every = of().count().div_ceil(MAX_MARKS).max(1);
-    views
-        .iter()
-        .filter(move |view| view.why_not.is_none() == used)
-        .flat_map(|view| &view.residuals)
-        .step_by(every)
+    of().step_by(every)
 }
 
 /// All detected corners over the cells of the image, whose colour is the stronger, the more of them

@@ -82,10 +82,9 @@ impl BoardEffects {
         let (across, down) = (self.light_gradient.0 as f32, self.light_gradient.1 as f32);
         let mut noise = GaussianStream::new(mix(self.seed ^ 0xB0A2D));
         let noise_gray = self.noise_gray as f32;
-        let mut samples = vec![0u8; width * height];
-        for (row, (samples, light)) in
-            samples.chunks_exact_mut(width).zip(light.chunks_exact(width)).enumerate()
-        {
+        let mut image = GrayImage::new(width, height);
+        let rows = image.samples_mut().chunks_exact_mut(width).zip(light.chunks_exact(width));
+        for (row, (samples, light)) in rows.enumerate() {
             let y = (row as f32 + 0.5) / height as f32 - 0.5;
             for (column, (sample, light)) in samples.iter_mut().zip(light).enumerate() {
                 let x = (column as f32 + 0.5) / width as f32 - 0.5;
@@ -102,8 +101,6 @@ impl BoardEffects {
                 samples.reverse();
             }
         }
-        let mut image = GrayImage::new(width, height);
-        image.samples_mut().copy_from_slice(&samples);
         image
     }
 }

@@ -107,11 +107,8 @@ impl Simulation {
             renderer.footprint_m(config.rig.height_m),
             config.colored,
             mix(config.seed ^ 0x6_7071),
-        )?;
-        let ground = match config.effects.ground_shadow {
-            0.0 => ground,
-            darkness => ground.with_shadows(darkness),
-        };
+        )?
+        .with_shadows(config.effects.ground_shadow);
         let simulation = Self {
             renderer,
             refocused,
@@ -228,11 +225,6 @@ impl Simulation {
     /// Mid-exposure time of a row of the frame at `time_s`, seconds (rolling shutter).
     pub fn row_time_s(&self, time_s: f64, row: usize) -> f64 {
         time_s + row_offset_s(self.config.effects.readout_s, row, self.renderer.height())
-    }
-
-    /// Height of the ground at a point, metres above z = 0, including relief.
-    pub fn ground_height_m(&self, point: GroundPoint) -> f64 {
-        self.surface.as_ref().map_or(0.0, |surface| surface.height_m(point.x_m, point.y_m))
     }
 
     /// Level of the ground at a point, metres above z = 0: undulation, kerb and ramp without

@@ -130,17 +130,18 @@ fn stones_are_displaced_by_their_parallax() {
     let flat = standing(Effects::default()).frame(0).unwrap().image;
     assert!(most_different(image.samples(), flat.samples()) > 30);
     let camera = &simulation.config.camera;
+    let surface = simulation.surface.as_ref().unwrap();
     let mut compared = 0;
     for (row, column) in (6..114).step_by(9).flat_map(|row| (6..154).step_by(9).map(move |c| (row, c))) {
         let ray = camera.ray_from_pixel(Pixel::new(column as f64, row as f64)).unwrap();
         // Reference: march along the ray in steps of 10 µm until it is below the ground.
         let at = |z: f64| GroundPoint::new(-(0.5 - z) * ray.y, -(0.5 - z) * ray.x);
-        let z =
-            (0..2200).map(|i| 0.011 - 1e-5 * f64::from(i)).find(|z| *z <= simulation.ground_height_m(at(*z)));
+        let is_below = |z: f64| z <= surface.height_m(at(z).x_m, at(z).y_m);
+        let z = (0..2200).map(|i| 0.011 - 1e-5 * f64::from(i)).find(|z| is_below(*z));
         let point = at(z.unwrap());
         // A camera whose middle pixel looks straight down at that point must see the same gray
         // level.
-        let shade = simulation.surface.as_ref().unwrap().shade(point.x_m, point.y_m);
+        let shade = surface.shade(point.x_m, point.y_m);
         let center = camera.ray_from_pixel(Pixel::new(80.0, 59.0)).unwrap();
         let above = GroundPose {
             x_m: point.x_m + 0.5 * center.y,

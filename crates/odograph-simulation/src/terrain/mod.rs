@@ -1,6 +1,6 @@
 //! Uneven ground as a height field: stones, undulation, kerbs and ramps.
 
-use super::noise::{cell, mix, smooth_step};
+use super::noise::{cell, interpolated, mix, smooth_step};
 use nalgebra::{Rotation3, Vector3};
 use odograph::error::{Error, Result};
 use odograph::geometry::{GroundPoint, GroundPose, wrap_angle};
@@ -430,12 +430,8 @@ impl Stones {
 fn periodic_noise(seed: u32, x: f32, y: f32, cells: i32) -> f32 {
     let (i, j) = (x as i32, y as i32);
     let (u, v) = (x - i as f32, y - j as f32);
-    let fade = |t: f32| t * t * t * (t * (t * 6.0 - 15.0) + 10.0);
-    let (a, b) = (fade(u), fade(v));
     let value = |i: i32, j: i32| cell(seed, i % cells, j % cells);
-    let top = value(i, j) * (1.0 - a) + value(i + 1, j) * a;
-    let bottom = value(i, j + 1) * (1.0 - a) + value(i + 1, j + 1) * a;
-    2.0 * (top * (1.0 - b) + bottom * b) - 1.0
+    interpolated([value(i, j), value(i + 1, j), value(i, j + 1), value(i + 1, j + 1)], u, v)
 }
 
 #[cfg(test)]

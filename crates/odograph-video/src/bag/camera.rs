@@ -5,7 +5,7 @@ use super::messages::{Role, frame_id};
 use super::recording::{MessageReader, Topic};
 use super::topics;
 use crate::recorded_camera::RecordedCamera;
-use odograph::error::{Error, Result};
+use odograph::error::Result;
 use std::path::Path;
 
 /// The camera of the images that a run follows in a robot recording: those of `topic`, or of the
@@ -19,11 +19,9 @@ use std::path::Path;
 /// camera is not calibrated or of an unknown lens model.
 pub fn recorded_camera(path: impl AsRef<Path>, topic: Option<&str>) -> Result<Option<RecordedCamera>> {
     let path = path.as_ref();
-    let at_path = |error: Error| error.at(path.display());
-    let not_one = || Error::input("this is not a robot recording");
-    let mut recording = super::open(path).and_then(|opened| opened.ok_or_else(not_one)).map_err(at_path)?;
-    let images = topics::with_frames(recording.as_mut(), topic).map_err(at_path)?;
-    camera_of(recording.as_mut(), &images).map_err(at_path)
+    topics::open_with_frames(path, topic)
+        .and_then(|(mut recording, images)| camera_of(recording.as_mut(), &images))
+        .map_err(|error| error.at(path.display()))
 }
 
 /// The camera of a topic with images, and rewinds the recording.
@@ -64,18 +62,17 @@ fn first_infos(
     const MAX_MESSAGES: usize = 1000;
     let mut infos = vec![None; all.len()];
     let mut frame = None;
-    let is = |topic: &Topic, other: &Topic| topic.name == other.name && topic.type_name == other.type_name;
     recording.rewind()?;
-    recording.select(&|topic| is(topic, images) || all.iter().any(|other| is(topic, other)));
+    recording.select(&|topic| topic.is(images) || all.iter().any(|other| topic.is(other)));
     for _ in 0..MAX_MESSAGES {
         if (frame.is_some() && infos.iter().all(Option::is_some)) || !recording.advance()? {
             break;
         }
         let message = recording.message();
         let topic = &recording.topics()[message.topic];
-        if is(topic, images) {
+        if topic.is(images) {
             frame.get_or_insert_with(|| frame_id(topic, message.data));
-        } else if let Some(index) = all.iter().position(|other| is(topic, other))
+        } else if let Some(index) = all.iter().position(|other| topic.is(other))
             && infos[index].as_ref().is_none_or(|(info, _): &Described| !info.is_calibrated())
             && let Some(info) = CameraInfo::read(topic, message.data)
         {

@@ -1,8 +1,8 @@
 //! Reading of formats whose messages lie in chunks of records, in the order of the file.
 
 use super::cursor::MessageCursor;
-use super::reader::RecordFile;
-use super::recording::{Message, MessageReader, Topic, Topics, count};
+use super::recording::{Message, MessageReader, Topic, Topics};
+use crate::record_file::RecordFile;
 use odograph::error::{Error, Result};
 use std::fs::File;
 use std::ops::Range;
@@ -86,10 +86,10 @@ impl<F: ChunkedFormat> ChunkReader<F> {
             // What a damaged summary listed is forgotten.
             (reader.format, reader.chunks.topics) = (F::default(), Topics::default());
             reader.rewind()?;
-            let add = |reader: &mut Self, topic: usize, log_ns| {
+            while reader.advance()? {
+                let Message { topic, log_ns, .. } = reader.message();
                 reader.chunks.topics.all[topic].add(1, (log_ns, log_ns));
-            };
-            count(&mut reader, add)?;
+            }
         }
         reader.rewind()?;
         Ok(reader)
@@ -152,7 +152,7 @@ impl<F: ChunkedFormat> MessageReader for ChunkReader<F> {
     fn rewind(&mut self) -> Result<()> {
         let mut magic = Vec::new();
         self.chunks.file.seek(0)?;
-        self.chunks.file.read(F::MAGIC.len() as u64, &mut magic)?;
+        self.chunks.file.fill(F::MAGIC.len() as u64, &mut magic)?;
         if magic != F::MAGIC {
             return Err(Error::input(F::WRONG_MAGIC));
         }

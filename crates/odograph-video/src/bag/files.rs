@@ -7,7 +7,9 @@ use super::database::{self, Database};
 use super::mcap::{self, Mcap};
 use super::recording::{Message, MessageReader, Topic, Topics};
 use super::rosbag1::{self, RosBag1};
+use crate::file_error::{unopened, unreadable};
 use crate::limits;
+use crate::pictures::name_of;
 use crate::temporary::TemporaryFolder;
 use odograph::error::{Error, Result};
 use std::fs::File;
@@ -52,12 +54,8 @@ impl BagFormat {
     }
 }
 
-fn unreadable(error: std::io::Error) -> Error {
-    Error::input(format!("cannot be read: {error}"))
-}
-
 fn open_file(path: &Path) -> Result<File> {
-    File::open(path).map_err(|error| Error::input(format!("cannot be opened: {error}")))
+    File::open(path).map_err(unopened)
 }
 
 /// An opened file, and the temporary folder that it was unpacked into.
@@ -156,11 +154,9 @@ impl Files {
                 }
             };
             recording.format = part.recording.format();
-            for topic in part.recording.topics() {
-                let own = recording.topics.index(&topic.name, &topic.type_name, topic.serialization.clone());
-                let own = own.ok_or_else(|| Error::input("there are too many topics"))?;
+            recording.number(&mut part)?;
+            for (topic, &own) in part.recording.topics().iter().zip(&part.topics) {
                 recording.topics.all[own].add(topic.count, topic.span_ns);
-                part.topics.push(own);
             }
             if recording.files.len() == 1 {
                 recording.current = Some(part);
@@ -183,10 +179,7 @@ impl Files {
             self.next += 1;
             // A file that cannot be opened was reported before.
             let Ok(mut part) = open_part(path) else { continue };
-            for topic in part.recording.topics() {
-                let own = self.topics.index(&topic.name, &topic.type_name, topic.serialization.clone());
-                part.topics.push(own.ok_or_else(|| Error::input("there are too many topics"))?);
-            }
+            self.number(&mut part)?;
             self.select_in(&mut part);
             self.current = Some(part);
             return Ok(true);
@@ -194,19 +187,20 @@ impl Files {
         Ok(false)
     }
 
+    /// Finds the own index of each topic of a file.
+    fn number(&mut self, part: &mut OpenedPart) -> Result<()> {
+        for topic in part.recording.topics() {
+            let own = self.topics.index(&topic.name, &topic.type_name, topic.serialization.clone());
+            part.topics.push(own.ok_or_else(|| Error::input("there are too many topics"))?);
+        }
+        Ok(())
+    }
+
     fn select_in(&self, part: &mut OpenedPart) {
-        let wanted: Vec<bool> = part.topics.iter().map(|&own| self.topics.is_wanted(own)).collect();
-        let names: Vec<(String, String)> = part
-            .recording
-            .topics()
-            .iter()
-            .zip(wanted)
-            .filter(|(_, wanted)| *wanted)
-            .map(|(topic, _)| (topic.name.clone(), topic.type_name.clone()))
-            .collect();
-        part.recording.select(&|topic| {
-            names.iter().any(|(name, kind)| *name == topic.name && *kind == topic.type_name)
-        });
+        let topics = part.recording.topics().iter().zip(&part.topics);
+        let wanted: Vec<Topic> =
+            topics.filter(|(_, own)| self.topics.is_wanted(**own)).map(|(topic, _)| topic.clone()).collect();
+        part.recording.select(&|topic| wanted.iter().any(|other| topic.is(other)));
     }
 
     fn take_warnings_of_current(&mut self) {
@@ -219,10 +213,6 @@ impl Files {
             });
         }
     }
-}
-
-fn name_of(path: &Path) -> String {
-    path.file_name().map(|name| name.to_string_lossy().into_owned()).unwrap_or_default()
 }
 
 impl MessageReader for Files {

@@ -1,7 +1,7 @@
 //! The folder of a rosbag2 recording: which files it consists of, and in what order.
 
 use super::files::BagFormat;
-use crate::pictures::natural_order;
+use crate::pictures::{name_of, natural_order};
 use crate::regular_file::read_regular_file;
 use odograph::error::{Error, Result};
 use serde::Deserialize;
@@ -63,10 +63,6 @@ fn named_files(folder: &Path) -> Option<Vec<PathBuf>> {
     // Old recorders name the folder as well, and a folder may have been renamed.
     let there = named.iter().filter_map(|path| Some(folder.join(Path::new(path).file_name()?)));
     Some(there.filter(|path| path.is_file()).collect())
-}
-
-fn name_of(path: &Path) -> String {
-    path.file_name().map(|name| name.to_string_lossy().into_owned()).unwrap_or_default()
 }
 
 /// Whether a file is a recording by its ending and its content.

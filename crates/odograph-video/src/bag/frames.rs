@@ -35,23 +35,23 @@ pub(crate) fn open_frames(mut recording: Box<dyn MessageReader>, options: &Sourc
 }
 
 /// The messages of one topic with their times.
-struct TopicMessages {
+pub(super) struct TopicMessages {
     recording: Box<dyn MessageReader>,
-    topic: Topic,
+    pub topic: Topic,
     /// Times are those of recording, because the messages have none.
     by_log: Option<bool>,
     warnings: Vec<String>,
 }
 
 impl TopicMessages {
-    fn new(mut recording: Box<dyn MessageReader>, topic: Topic) -> Result<Self> {
-        recording.select(&|other| other.name == topic.name && other.type_name == topic.type_name);
+    pub fn new(mut recording: Box<dyn MessageReader>, topic: Topic) -> Result<Self> {
+        recording.select(&|other| other.is(&topic));
         recording.rewind()?;
         Ok(Self { recording, topic, by_log: None, warnings: Vec::new() })
     }
 
-    /// Advances to the next message and returns its time, seconds.
-    fn advance(&mut self) -> Result<Option<f64>> {
+    /// Advances to the next message and returns its time, seconds; not a number if it has none.
+    pub fn advance(&mut self) -> Result<Option<f64>> {
         if !self.recording.advance()? {
             return Ok(None);
         }
@@ -72,7 +72,7 @@ impl TopicMessages {
         Ok(Some(time_ns.map_or(f64::NAN, seconds)))
     }
 
-    fn data(&self) -> &[u8] {
+    pub fn data(&self) -> &[u8] {
         self.recording.message().data
     }
 

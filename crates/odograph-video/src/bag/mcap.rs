@@ -80,7 +80,7 @@ impl ChunkedFormat for Mcap {
     fn read_summary(&mut self, chunks: &mut ChunkFile) -> Result<Option<()>> {
         let Some(footer_at) = chunks.file.length().checked_sub(FOOTER_BYTES) else { return Ok(None) };
         chunks.file.seek(footer_at)?;
-        chunks.file.read(FOOTER_BYTES, &mut chunks.packed)?;
+        chunks.file.fill(FOOTER_BYTES, &mut chunks.packed)?;
         let mut footer = MessageCursor::packed(&chunks.packed);
         let Some((op::FOOTER, 20, summary)) = (|| Some((footer.u8()?, footer.u64()?, footer.u64()?)))()
         else {
@@ -90,7 +90,7 @@ impl ChunkedFormat for Mcap {
             return Ok(None);
         }
         chunks.file.seek(summary)?;
-        chunks.file.read((footer_at - summary).min(MAX_BYTES), &mut chunks.records)?;
+        chunks.file.fill((footer_at - summary).min(MAX_BYTES), &mut chunks.records)?;
         let records = std::mem::take(&mut chunks.records);
         let mut cursor = MessageCursor::packed(&records);
         let mut counted = None;
@@ -128,7 +128,7 @@ impl ChunkedFormat for Mcap {
     fn read_chunk(&mut self, chunks: &mut ChunkFile) -> Result<bool> {
         loop {
             let mut head = Vec::new();
-            chunks.file.read(9, &mut head)?;
+            chunks.file.fill(9, &mut head)?;
             let mut cursor = MessageCursor::packed(&head);
             let (Some(kind), Some(length)) = (cursor.u8(), cursor.u64()) else {
                 chunks.is_cut_off = true;
@@ -138,13 +138,13 @@ impl ChunkedFormat for Mcap {
             match kind {
                 op::FOOTER | op::DATA_END => return Ok(false),
                 op::SCHEMA | op::CHANNEL | op::MESSAGE if whole && length <= MAX_BYTES => {
-                    chunks.file.read(length, &mut chunks.packed)?;
+                    chunks.file.fill(length, &mut chunks.packed)?;
                     chunks.records.extend_from_slice(&head);
                     chunks.records.extend_from_slice(&chunks.packed);
                     return Ok(true);
                 }
                 op::CHUNK if length.min(chunks.file.remaining()) <= MAX_BYTES => {
-                    chunks.file.read(length, &mut chunks.packed)?;
+                    chunks.file.fill(length, &mut chunks.packed)?;
                     if unpack(chunks)? {
                         chunks.is_cut_off |= !whole;
                         return Ok(true);

@@ -18,7 +18,6 @@ mod live_topic;
 mod mcap;
 mod messages;
 mod mount;
-mod reader;
 mod recording;
 mod rosbag1;
 mod sensors;

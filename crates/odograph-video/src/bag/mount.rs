@@ -6,7 +6,7 @@ use super::recording::{MessageReader, Topic};
 use super::topics;
 use nalgebra::Isometry3;
 use odograph::camera::{LeverArm, Rig};
-use odograph::error::{Error, Result};
+use odograph::error::Result;
 use odograph::geometry::GroundPose;
 use std::collections::BTreeMap;
 use std::path::Path;
@@ -43,11 +43,9 @@ impl RecordedMount {
 /// If the path is not a robot recording or cannot be read, or the topic is not one with images.
 pub fn recorded_mount(path: impl AsRef<Path>, topic: Option<&str>) -> Result<Option<RecordedMount>> {
     let path = path.as_ref();
-    let at_path = |error: Error| error.at(path.display());
-    let not_one = || Error::input("this is not a robot recording");
-    let mut recording = super::open(path).and_then(|opened| opened.ok_or_else(not_one)).map_err(at_path)?;
-    let images = topics::with_frames(recording.as_mut(), topic).map_err(at_path)?;
-    mount_of(recording.as_mut(), &images).map_err(at_path)
+    topics::open_with_frames(path, topic)
+        .and_then(|(mut recording, images)| mount_of(recording.as_mut(), &images))
+        .map_err(|error| error.at(path.display()))
 }
 
 /// Transforms that are published once come with the first messages: more of them are not looked at.
@@ -57,9 +55,8 @@ fn mount_of(recording: &mut dyn MessageReader, images: &Topic) -> Result<Option<
     if !recording.topics().iter().any(transforms::is_static) {
         return Ok(None);
     }
-    let is_images = |topic: &Topic| topic.name == images.name && topic.type_name == images.type_name;
     recording.rewind()?;
-    recording.select(&|topic| transforms::is_static(topic) || is_images(topic));
+    recording.select(&|topic| transforms::is_static(topic) || topic.is(images));
     let (mut tree, mut camera_frame) = (Tree::default(), None);
     for _ in 0..MAX_MESSAGES {
         if !recording.advance()? {
@@ -67,7 +64,7 @@ fn mount_of(recording: &mut dyn MessageReader, images: &Topic) -> Result<Option<
         }
         let message = recording.message();
         let topic = &recording.topics()[message.topic];
-        if is_images(topic) {
+        if topic.is(images) {
             camera_frame.get_or_insert_with(|| frame_id(topic, message.data));
         } else {
             transforms::each(topic, message.data, |child, parent, transform| {

@@ -19,6 +19,11 @@ pub(crate) struct Topic {
 }
 
 impl Topic {
+    /// Whether it is the same topic, by name and type.
+    pub fn is(&self, other: &Self) -> bool {
+        self.name == other.name && self.type_name == other.type_name
+    }
+
     /// Adds messages.
     pub fn add(&mut self, count: u64, span_ns: (u64, u64)) {
         if count == 0 {
@@ -113,13 +118,4 @@ pub(crate) trait MessageReader: Send {
     fn rewind(&mut self) -> Result<()>;
     /// Drains the warnings about defects, one sentence each.
     fn take_warnings(&mut self) -> Vec<String>;
-}
-
-/// Counts the messages of a recording without an index by reading it, and rewinds it.
-pub(super) fn count<R: MessageReader>(recording: &mut R, add: impl Fn(&mut R, usize, u64)) -> Result<()> {
-    while recording.advance()? {
-        let Message { topic, log_ns, .. } = recording.message();
-        add(recording, topic, log_ns);
-    }
-    recording.rewind()
 }

@@ -7,8 +7,8 @@
 use super::chunks::{ChunkFile, ChunkedFormat, FoundMessage, MAX_BYTES};
 use super::compression::Compression;
 use super::cursor::{MessageCursor, Serialization};
-use super::reader::RecordFile;
 use super::recording::Topics;
+use crate::record_file::RecordFile;
 use odograph::error::Result;
 use std::collections::HashMap;
 
@@ -88,13 +88,13 @@ impl RosBag1 {
 /// Reads the header of a record, and the length of its data; `None` at the end of the file.
 fn read_head(file: &mut RecordFile, header: &mut Vec<u8>) -> Result<Option<u64>> {
     let mut length = Vec::new();
-    file.read(4, &mut length)?;
+    file.fill(4, &mut length)?;
     let Some(bytes) = MessageCursor::packed(&length).u32().map(u64::from) else { return Ok(None) };
     if bytes > MAX_HEADER || bytes > file.remaining() {
         return Ok(None);
     }
-    file.read(bytes, header)?;
-    file.read(4, &mut length)?;
+    file.fill(bytes, header)?;
+    file.fill(4, &mut length)?;
     Ok(MessageCursor::packed(&length).u32().map(u64::from))
 }
 
@@ -104,7 +104,7 @@ fn read_whole_record(chunks: &mut ChunkFile, header: &mut Vec<u8>) -> Result<Opt
     if length > chunks.file.remaining() || length > MAX_BYTES {
         return Ok(None);
     }
-    chunks.file.read(length, &mut chunks.records)?;
+    chunks.file.fill(length, &mut chunks.records)?;
     Ok(Some(Fields(MessageCursor::packed(header)).op()))
 }
 
@@ -182,7 +182,7 @@ impl ChunkedFormat for RosBag1 {
             let fields = Fields(MessageCursor::packed(&header));
             match fields.op() {
                 op::MESSAGE | op::CONNECTION if whole && length <= MAX_BYTES => {
-                    chunks.file.read(length, &mut chunks.packed)?;
+                    chunks.file.fill(length, &mut chunks.packed)?;
                     for part in [&header, &chunks.packed] {
                         // Both lengths were read from 32 bits.
                         chunks.records.extend_from_slice(&(part.len() as u32).to_le_bytes());
@@ -198,7 +198,7 @@ impl ChunkedFormat for RosBag1 {
                     // they are not compressed.
                     let unfinished = length == 0 && compression != Compression::None;
                     let bytes = if unfinished { chunks.file.remaining().min(MAX_BYTES) } else { length };
-                    chunks.file.read(bytes, &mut chunks.packed)?;
+                    chunks.file.fill(bytes, &mut chunks.packed)?;
                     let most = if unfinished { MAX_BYTES } else { size.min(MAX_BYTES) };
                     let decompressed = compression.decompress(&chunks.packed, most, &mut chunks.records);
                     let is_whole = whole && !unfinished;

@@ -1,6 +1,7 @@
 //! The record of a sensor beside the camera, from a topic.
 
-use super::messages::{Role, seconds, sensor, stamp_ns};
+use super::frames::TopicMessages;
+use super::messages::{Role, sensor};
 use super::recording::Topic;
 use super::topics::is_named;
 use odograph::error::{Error, Result};
@@ -99,7 +100,7 @@ fn each(
             "only robot recordings (MCAP, ROS bags) have topics, and this is none; leave {name} away"
         ))
     };
-    let mut recording = super::open(path)?.ok_or_else(not_one)?;
+    let recording = super::open(path)?.ok_or_else(not_one)?;
     let fits = |topic: &&Topic| Role::of(topic) == role && role != Role::Other;
     let Some(topic) = recording.topics().iter().filter(fits).find(|topic| is_named(topic, name)).cloned()
     else {
@@ -113,16 +114,10 @@ fn each(
             "there is no topic {name} of the type {type_name} for a {sensor}; {others}"
         )));
     };
-    recording.select(&|other| other.name == topic.name && other.type_name == topic.type_name);
-    let mut by_log = None;
+    let mut messages = TopicMessages::new(recording, topic)?;
     let mut last_s = f64::NEG_INFINITY;
-    while recording.advance()? {
-        let message = recording.message();
-        let stamp_ns = stamp_ns(&topic, message.data);
-        let by_log = *by_log.get_or_insert(stamp_ns.is_none());
-        let time_ns = if by_log { i64::try_from(message.log_ns).ok() } else { stamp_ns };
-        let Some(time_s) = time_ns.map(seconds).filter(|&time_s| time_s > last_s) else { continue };
-        if take(&topic, time_s, message.data) {
+    while let Some(time_s) = messages.advance()? {
+        if time_s > last_s && take(&messages.topic, time_s, messages.data()) {
             last_s = time_s;
         }
     }

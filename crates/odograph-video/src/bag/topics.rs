@@ -3,6 +3,7 @@
 use super::messages::{Role, image};
 use super::recording::{MessageReader, Topic};
 use odograph::error::{Error, Result};
+use std::path::Path;
 
 /// Whether a topic is meant by a name: as it is, or without its leading slash.
 pub(super) fn is_named(topic: &Topic, name: &str) -> bool {
@@ -56,6 +57,14 @@ pub(super) fn with_frames(recording: &mut dyn MessageReader, name: Option<&str>)
             }
         }
     }
+}
+
+/// Opens the robot recording at a path with the topic that [`with_frames`] gives.
+pub(super) fn open_with_frames(path: &Path, name: Option<&str>) -> Result<(Box<dyn MessageReader>, Topic)> {
+    let not_one = || Error::input("this is not a robot recording");
+    let mut recording = super::open(path)?.ok_or_else(not_one)?;
+    let topic = with_frames(recording.as_mut(), name)?;
+    Ok((recording, topic))
 }
 
 /// Those of the topics whose images show light: a depth camera has others beside them.
@@ -126,8 +135,7 @@ pub(super) fn first_images(
     topics: &[Topic],
 ) -> Result<Vec<Option<FirstImage>>> {
     let mut firsts = vec![None; topics.len()];
-    let place =
-        |topic: &Topic| topics.iter().position(|t| t.name == topic.name && t.type_name == topic.type_name);
+    let place = |topic: &Topic| topics.iter().position(|other| other.is(topic));
     recording.rewind()?;
     recording.select(&|topic| place(topic).is_some());
     while firsts.iter().any(Option::is_none) && recording.advance()? {

@@ -169,20 +169,15 @@ struct Fast {
 
 impl Fast {
     fn new(set_up: SetUp) -> Result<Self> {
-        let mut decoder = Self {
-            decoder: rusty_h264_decoder::Decoder::new(),
-            annex_b: Vec::new(),
-            starts_group: false,
-            set_up,
-        };
-        for unit in &decoder.set_up.parameter_sets {
-            decoder.annex_b.extend_from_slice(&[0, 0, 1]);
-            decoder.annex_b.extend_from_slice(unit);
+        let mut decoder = rusty_h264_decoder::Decoder::new();
+        let mut annex_b = Vec::new();
+        for unit in &set_up.parameter_sets {
+            annex_b.extend_from_slice(&[0, 0, 1]);
+            annex_b.extend_from_slice(unit);
         }
-        let Self { decoder: inner, annex_b, .. } = &mut decoder;
         // An unsupported parameter set is reported when a slice refers to it.
-        let _ = guarded("H.264", || inner.decode(annex_b))?;
-        Ok(decoder)
+        let _ = guarded("H.264", || decoder.decode(&annex_b))?;
+        Ok(Self { set_up, decoder, annex_b, starts_group: false })
     }
 }
 
@@ -246,14 +241,13 @@ struct Complete {
 
 impl Complete {
     fn new(set_up: SetUp) -> Result<Self> {
-        let mut decoder = Self { decoder: rust_h264::decoder::Decoder::new(), building: None, set_up };
-        let Self { set_up, decoder: inner, .. } = &mut decoder;
+        let mut decoder = rust_h264::decoder::Decoder::new();
         guarded("H.264", || {
             for unit in &set_up.parameter_sets {
-                let _ = inner.decode_nal(&unit_of(unit));
+                let _ = decoder.decode_nal(&unit_of(unit));
             }
         })?;
-        Ok(decoder)
+        Ok(Self { set_up, decoder, building: None })
     }
 
     /// Whether a sample is a complete picture. It is in every container; in raw streams it need not

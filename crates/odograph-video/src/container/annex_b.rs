@@ -2,6 +2,7 @@
 //! standards).
 
 use super::{Packet, PacketReader, Times, VideoCodec, VideoTrack};
+use crate::file_error::unreadable;
 use crate::limits;
 use crate::nal::find_start_code;
 use odograph::error::{Error, Result};
@@ -126,10 +127,7 @@ impl PacketReader for AnnexBReader {
             if self.buffer.len() as u64 > limits::MAX_SAMPLE_BYTES {
                 return Err(Error::input("a frame takes more than 256 MB"));
             }
-            let read = (&mut self.file)
-                .take(READ_BYTES)
-                .read_to_end(&mut self.buffer)
-                .map_err(|error| Error::input(format!("cannot be read: {error}")))?;
+            let read = (&mut self.file).take(READ_BYTES).read_to_end(&mut self.buffer).map_err(unreadable)?;
             self.at_end = read == 0;
         };
         if end == 0 {
@@ -146,7 +144,7 @@ impl PacketReader for AnnexBReader {
     }
 
     fn rewind(&mut self) -> Result<()> {
-        self.file.rewind().map_err(|error| Error::input(format!("cannot be read: {error}")))?;
+        self.file.rewind().map_err(unreadable)?;
         self.buffer.clear();
         (self.searched, self.unit, self.slice_seen, self.at_end, self.number) = (0, None, false, false, 0);
         Ok(())

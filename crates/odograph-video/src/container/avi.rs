@@ -6,16 +6,16 @@
 
 use super::bytes::{Bytes, read_up_to};
 use super::{Packet, PacketReader, Times, VideoCodec, VideoTrack};
+use crate::file_error::unreadable;
 use crate::limits;
+use crate::record_file::RecordFile;
 use odograph::error::{Error, Result};
 use std::fs::File;
-use std::io::{BufReader, Read, Seek, SeekFrom};
+use std::io::Read;
 
 /// Reads the samples of the first video stream of an AVI file.
 pub(crate) struct AviReader {
-    file: BufReader<File>,
-    length: u64,
-    at: u64,
+    file: RecordFile,
     first_sample: u64,
     track: VideoTrack,
     /// Stream number: the two digits that its chunk names start with.
@@ -38,11 +38,8 @@ enum Head {
 
 impl AviReader {
     pub fn open(file: File) -> Result<Self> {
-        let length = file.metadata().map(|m| m.len()).unwrap_or(0);
         let mut reader = Self {
-            file: BufReader::with_capacity(1 << 16, file),
-            length,
-            at: 0,
+            file: RecordFile::new(file)?,
             first_sample: 0,
             track: VideoTrack::new("AVI", VideoCodec::Other(String::new()), Times::Decoding),
             stream: *b"  ",
@@ -70,7 +67,7 @@ impl AviReader {
                 }
                 b"LIST" => match &self.list_kind()? {
                     b"movi" => {
-                        self.first_sample = self.at;
+                        self.first_sample = self.file.at();
                         break;
                     }
                     b"hdrl" | b"strl" => {}
@@ -78,7 +75,6 @@ impl AviReader {
                 },
                 b"strh" | b"strf" => {
                     read_up_to(&mut self.file, size, &mut payload)?;
-                    self.at += payload.len() as u64;
                     self.align(size)?;
                     if &kind == b"strh" {
                         streams = streams.saturating_add(1);
@@ -139,45 +135,32 @@ impl AviReader {
     /// Reads the header of the next chunk; `None` at the end. Zeros before it, caused by wrong
     /// lengths, are skipped.
     fn chunk(&mut self) -> Result<Option<([u8; 4], u32)>> {
-        let mut head = [0u8; 8];
-        loop {
-            if self.length.saturating_sub(self.at) < 8 {
-                return Ok(None);
-            }
-            self.file.read_exact(&mut head[..4]).map_err(unreadable)?;
-            self.at += 4;
-            if head[..4] != [0; 4] {
-                break;
+        while self.file.remaining() >= 8 {
+            let kind = self.four_bytes()?;
+            if kind != [0; 4] {
+                return Ok(Some((kind, u32::from_le_bytes(self.four_bytes()?))));
             }
         }
-        self.file.read_exact(&mut head[4..]).map_err(unreadable)?;
-        self.at += 4;
-        let [a, b, c, d, size @ ..] = head;
-        Ok(Some(([a, b, c, d], u32::from_le_bytes(size))))
+        Ok(None)
     }
 
     fn list_kind(&mut self) -> Result<[u8; 4]> {
-        let mut kind = [0u8; 4];
-        if self.length.saturating_sub(self.at) >= 4 {
-            self.file.read_exact(&mut kind).map_err(unreadable)?;
-            self.at += 4;
-        }
-        Ok(kind)
+        if self.file.remaining() >= 4 { self.four_bytes() } else { Ok([0; 4]) }
+    }
+
+    fn four_bytes(&mut self) -> Result<[u8; 4]> {
+        let mut bytes = [0; 4];
+        self.file.read_exact(&mut bytes).map_err(unreadable)?;
+        Ok(bytes)
     }
 
     /// Skips the padding byte after a chunk of odd size.
     fn align(&mut self, size: u64) -> Result<()> {
-        if size % 2 == 1 && self.at < self.length {
-            self.file.seek_relative(1).map_err(unreadable)?;
-            self.at += 1;
-        }
-        Ok(())
+        self.file.skip(size % 2)
     }
 
     fn skip(&mut self, size: u64) -> Result<()> {
-        let skipped = size.min(self.length - self.at);
-        self.file.seek_relative(skipped as i64).map_err(unreadable)?;
-        self.at += skipped;
+        self.file.skip(size)?;
         self.align(size)
     }
 }
@@ -203,12 +186,11 @@ impl PacketReader for AviReader {
                     if size > limits::MAX_SAMPLE_BYTES {
                         return Err(Error::input(format!("frame {number} claims to take more than 256 MB")));
                     }
-                    if size > self.length - self.at {
+                    if size > self.file.remaining() {
                         self.warnings.push(format!("the file is cut off inside frame {number}"));
                         return Ok(false);
                     }
                     read_up_to(&mut self.file, size, &mut packet.data)?;
-                    self.at += size;
                     self.align(size)?;
                     packet.time_s = (u64::from(self.start) + number) as f64 * f64::from(self.scale)
                         / f64::from(self.rate);
@@ -219,13 +201,14 @@ impl PacketReader for AviReader {
                     }
                 }
                 _ if kind.iter().all(|c| c.is_ascii_graphic() || *c == b' ') => {
-                    if size > self.length - self.at {
+                    if size > self.file.remaining() {
                         self.warnings.push("the file is cut off".to_string());
                     }
                     self.skip(size)?;
                 }
                 _ => {
-                    self.warnings.push(format!("what follows byte {} is not AVI and was ignored", self.at));
+                    self.warnings
+                        .push(format!("what follows byte {} is not AVI and was ignored", self.file.at()));
                     return Ok(false);
                 }
             }
@@ -234,9 +217,8 @@ impl PacketReader for AviReader {
     }
 
     fn rewind(&mut self) -> Result<()> {
-        self.file.seek(SeekFrom::Start(self.first_sample)).map_err(unreadable)?;
-        (self.at, self.number) = (self.first_sample, 0);
-        Ok(())
+        self.number = 0;
+        self.file.seek(self.first_sample)
     }
 
     fn take_warnings(&mut self) -> Vec<String> {
@@ -265,8 +247,4 @@ pub(super) fn codec(letters: &[u8]) -> VideoCodec {
         }
         other => VideoCodec::Other(format!("'{}' video", String::from_utf8_lossy(other).trim())),
     }
-}
-
-fn unreadable(error: std::io::Error) -> Error {
-    Error::input(format!("cannot be read: {error}"))
 }

@@ -1,5 +1,6 @@
 //! Bounds-checked parsing of integers.
 
+use crate::file_error::unreadable;
 use crate::limits;
 use odograph::error::{Error, Result};
 use std::io::Read;
@@ -67,6 +68,6 @@ pub(crate) fn read_up_to(reader: &mut impl Read, count: u64, into: &mut Vec<u8>)
             "a part of {count} bytes is larger than anything this program takes"
         )));
     }
-    reader.take(count).read_to_end(into).map_err(|error| Error::input(format!("cannot be read: {error}")))?;
+    reader.take(count).read_to_end(into).map_err(unreadable)?;
     Ok(())
 }

@@ -6,12 +6,14 @@
 
 use super::bytes::{Bytes, read_up_to};
 use super::{Packet, PacketReader, Times, VideoCodec, VideoTrack};
+use crate::file_error::unreadable;
 use crate::frame::{ColorEncoding, Matrix};
 use crate::limits;
+use crate::record_file::RecordFile;
 use crate::rotation::Orientation;
 use odograph::error::{Error, Result};
 use std::fs::File;
-use std::io::{BufReader, Read, Seek, SeekFrom};
+use std::io::Read;
 
 /// EBML magic number at the start of every file.
 pub(crate) const MAGIC: [u8; 4] = [0x1a, 0x45, 0xdf, 0xa3];
@@ -27,9 +29,7 @@ const BLOCK: u32 = 0xa1;
 
 /// Reads the samples of the first video track.
 pub(crate) struct MatroskaReader {
-    file: BufReader<File>,
-    length: u64,
-    at: u64,
+    file: RecordFile,
     first_cluster: u64,
     track: VideoTrack,
     number: u64,
@@ -42,11 +42,8 @@ pub(crate) struct MatroskaReader {
 
 impl MatroskaReader {
     pub fn open(file: File) -> Result<Self> {
-        let length = file.metadata().map(|m| m.len()).unwrap_or(0);
         let mut reader = Self {
-            file: BufReader::with_capacity(1 << 16, file),
-            length,
-            at: 0,
+            file: RecordFile::new(file)?,
             first_cluster: 0,
             track: VideoTrack::new("Matroska", VideoCodec::Other(String::new()), Times::Presentation),
             number: 0,
@@ -64,7 +61,7 @@ impl MatroskaReader {
         let (mut duration_ticks, mut frame_s, mut tracks_seen) = (None, None, false);
         let mut payload = Vec::new();
         loop {
-            let start = self.at;
+            let start = self.file.at();
             let Some((id, size)) = self.element()? else { break };
             match id {
                 SEGMENT => {}
@@ -73,14 +70,10 @@ impl MatroskaReader {
                     break;
                 }
                 INFO | TRACKS => {
-                    read_up_to(
-                        &mut self.file,
-                        size.unwrap_or(u64::MAX).min(self.length - self.at),
-                        &mut payload,
-                    )?;
-                    self.at += payload.len() as u64;
+                    let size = size.unwrap_or(u64::MAX).min(self.file.remaining());
+                    read_up_to(&mut self.file, size, &mut payload)?;
                     if id == INFO {
-                        for (id, value) in Elements::new(&payload) {
+                        for (id, value) in Elements(&payload) {
                             match id {
                                 0x2a_d7b1 => self.tick_ns = unsigned(value).max(1),
                                 0x4489 => duration_ticks = float(value),
@@ -104,13 +97,13 @@ impl MatroskaReader {
             let frames = (duration * self.tick_ns as f64 * 1e-9 / frame_s).round();
             self.track.frame_count = (frames.is_finite() && frames > 0.0).then_some(frames as u64);
         }
-        self.seek(self.first_cluster)
+        self.file.seek(self.first_cluster)
     }
 
     /// Selects the first video track; returns its frame duration in seconds, if the file has it.
     fn read_tracks(&mut self, tracks: &[u8]) -> Result<Option<f64>> {
-        for (id, entry) in Elements::new(tracks) {
-            let value = |wanted| Elements::new(entry).find(|(id, _)| *id == wanted).map(|(_, value)| value);
+        for (id, entry) in Elements(tracks) {
+            let value = |wanted| Elements(entry).find(|(id, _)| *id == wanted).map(|(_, value)| value);
             if id != 0xae || value(0x83).map(unsigned) != Some(1) {
                 continue;
             }
@@ -135,13 +128,13 @@ impl MatroskaReader {
     }
 
     fn read_video(&mut self, video: &[u8]) {
-        for (id, value) in Elements::new(video) {
+        for (id, value) in Elements(video) {
             match id {
                 0xb0 => self.track.width = unsigned(value) as usize,
                 0xba => self.track.height = unsigned(value) as usize,
                 0x55b0 => {
                     let mut encoding = ColorEncoding::default();
-                    for (id, value) in Elements::new(value) {
+                    for (id, value) in Elements(value) {
                         match id {
                             0x55b1 => encoding.matrix = Matrix::from_h273(unsigned(value)),
                             0x55b9 => encoding.full_range = unsigned(value) == 2,
@@ -152,7 +145,7 @@ impl MatroskaReader {
                 }
                 // Roll of the projection in degrees, counter-clockwise for the viewer.
                 0x7670 => {
-                    let roll = Elements::new(value).find(|(id, _)| *id == 0x7675).and_then(|(_, v)| float(v));
+                    let roll = Elements(value).find(|(id, _)| *id == 0x7675).and_then(|(_, v)| float(v));
                     if let Some(roll) = roll.filter(|r| r.is_finite()) {
                         let quarter_turns = (-roll / 90.0).round().rem_euclid(4.0) as u8;
                         self.track.orientation = Orientation::turned(quarter_turns);
@@ -164,9 +157,9 @@ impl MatroskaReader {
     }
 
     fn read_encodings(&mut self, encodings: &[u8]) {
-        for (_, encoding) in Elements::new(encodings).filter(|(id, _)| *id == 0x6240) {
-            for (id, value) in Elements::new(encoding) {
-                let field = |wanted| Elements::new(value).find(|(id, _)| *id == wanted).map(|(_, v)| v);
+        for (_, encoding) in Elements(encodings).filter(|(id, _)| *id == 0x6240) {
+            for (id, value) in Elements(encoding) {
+                let field = |wanted| Elements(value).find(|(id, _)| *id == wanted).map(|(_, v)| v);
                 match id {
                     0x5034 if field(0x4254).map(unsigned) == Some(3) => {
                         self.stripped = field(0x4255).unwrap_or_default().to_vec();
@@ -179,75 +172,38 @@ impl MatroskaReader {
         }
     }
 
-    fn seek(&mut self, to: u64) -> Result<()> {
-        self.file.seek(SeekFrom::Start(to)).map_err(unreadable)?;
-        self.at = to;
-        Ok(())
-    }
-
     fn skip(&mut self, size: Option<u64>) -> Result<()> {
         let size = size.unwrap_or(0);
-        match i64::try_from(size) {
-            Ok(relative) if size <= self.length.saturating_sub(self.at) => {
-                self.file.seek_relative(relative).map_err(unreadable)?;
-                self.at += size;
-                Ok(())
-            }
-            _ => {
-                self.warnings.push("the file is cut off".to_string());
-                self.seek(self.length)
-            }
+        if size > self.file.remaining() {
+            self.warnings.push("the file is cut off".to_string());
         }
+        self.file.skip(size)
     }
 
     /// Reads the id and the size of the next element; the size is `None` if unknown. Returns `None`
     /// at the end.
     fn element(&mut self) -> Result<Option<(u32, Option<u64>)>> {
-        let mut head = [0u8; 12];
-        let mut filled = 0;
-        let Some(id_length) = self.byte(&mut head, &mut filled)?.map(|b| b.leading_zeros() as usize + 1)
-        else {
-            return Ok(None);
-        };
-        if id_length > 4 {
-            return self.damaged();
-        }
-        for _ in 1..id_length {
-            if self.byte(&mut head, &mut filled)?.is_none() {
-                return Ok(None);
-            }
-        }
-        let id = head[..id_length].iter().fold(0, |id, &b| id << 8 | u32::from(b));
-        let Some(size_length) = self.byte(&mut head, &mut filled)?.map(|b| b.leading_zeros() as usize + 1)
-        else {
-            return Ok(None);
-        };
-        if size_length > 8 {
-            return self.damaged();
-        }
-        for _ in 1..size_length {
-            if self.byte(&mut head, &mut filled)?.is_none() {
-                return Ok(None);
-            }
-        }
-        Ok(Some((id, size_of(&head[id_length..filled]))))
+        let Some(id) = self.number(4)? else { return Ok(None) };
+        let Some(size) = self.number(8)? else { return Ok(None) };
+        let id = id.iter().fold(0, |id, &b| id << 8 | u32::from(b));
+        Ok(Some((id, size_of(&size))))
     }
 
-    fn damaged<T>(&mut self) -> Result<Option<T>> {
-        self.warnings.push(format!("what follows byte {} is not Matroska and was ignored", self.at));
-        self.seek(self.length)?;
-        Ok(None)
-    }
-
-    fn byte(&mut self, head: &mut [u8; 12], filled: &mut usize) -> Result<Option<u8>> {
-        let mut byte = [0];
-        if self.file.read(&mut byte).map_err(unreadable)? == 0 {
+    /// Reads a number of variable length (VINT) with its marker bit; `None` at the end of the file.
+    /// What follows one of more bytes than `longest` is ignored.
+    fn number(&mut self, longest: usize) -> Result<Option<Vec<u8>>> {
+        let mut bytes = Vec::with_capacity(longest);
+        (&mut self.file).take(1).read_to_end(&mut bytes).map_err(unreadable)?;
+        let Some(first) = bytes.first() else { return Ok(None) };
+        let length = first.leading_zeros() as usize + 1;
+        if length > longest {
+            let at = self.file.at();
+            self.warnings.push(format!("what follows byte {at} is not Matroska and was ignored"));
+            self.file.seek(self.file.length())?;
             return Ok(None);
         }
-        head[*filled] = byte[0];
-        *filled += 1;
-        self.at += 1;
-        Ok(Some(byte[0]))
+        (&mut self.file).take(length as u64 - 1).read_to_end(&mut bytes).map_err(unreadable)?;
+        Ok((bytes.len() == length).then_some(bytes))
     }
 
     /// Reads a block into `packet`; false if it belongs to another track or is truncated.
@@ -256,7 +212,6 @@ impl MatroskaReader {
             return Err(Error::input("a frame claims to take more than 256 MB"));
         }
         read_up_to(&mut self.file, size, &mut packet.data)?;
-        self.at += packet.data.len() as u64;
         if (packet.data.len() as u64) < size {
             self.warnings.push("the file is cut off inside a frame".to_string());
             return Ok(false);
@@ -295,7 +250,6 @@ impl PacketReader for MatroskaReader {
                 TIMESTAMP => {
                     let size = size.unwrap_or(0).min(8);
                     read_up_to(&mut self.file, size, &mut packet.data)?;
-                    self.at += packet.data.len() as u64;
                     self.cluster_ticks = i64::try_from(unsigned(&packet.data)).unwrap_or(i64::MAX);
                 }
                 SIMPLE_BLOCK | BLOCK => {
@@ -311,7 +265,7 @@ impl PacketReader for MatroskaReader {
 
     fn rewind(&mut self) -> Result<()> {
         self.cluster_ticks = 0;
-        self.seek(self.first_cluster)
+        self.file.seek(self.first_cluster)
     }
 
     fn take_warnings(&mut self) -> Vec<String> {
@@ -334,21 +288,13 @@ fn size_of(bytes: &[u8]) -> Option<u64> {
 }
 
 /// Iterates over the elements of a payload; the last one may be truncated.
-struct Elements<'a> {
-    rest: &'a [u8],
-}
-
-impl<'a> Elements<'a> {
-    fn new(rest: &'a [u8]) -> Self {
-        Self { rest }
-    }
-}
+struct Elements<'a>(&'a [u8]);
 
 impl<'a> Iterator for Elements<'a> {
     type Item = (u32, &'a [u8]);
 
     fn next(&mut self) -> Option<Self::Item> {
-        let mut bytes = Bytes::new(self.rest);
+        let mut bytes = Bytes::new(self.0);
         let id_length = bytes.rest().first()?.leading_zeros() as usize + 1;
         let id =
             bytes.take(id_length).filter(|_| id_length <= 4)?.iter().fold(0, |id, &b| id << 8 | u32::from(b));
@@ -356,7 +302,7 @@ impl<'a> Iterator for Elements<'a> {
         let size = size_of(bytes.take(size_length).filter(|_| size_length <= 8)?).unwrap_or(u64::MAX);
         let size = usize::try_from(size).unwrap_or(usize::MAX).min(bytes.rest().len());
         let payload = bytes.take(size)?;
-        self.rest = bytes.rest();
+        self.0 = bytes.rest();
         Some((id, payload))
     }
 }
@@ -394,10 +340,6 @@ fn codec(id: &str, private: &[u8]) -> VideoCodec {
     }
 }
 
-fn unreadable(error: std::io::Error) -> Error {
-    Error::input(format!("cannot be read: {error}"))
-}
-
 #[cfg(test)]
 mod tests {
     use super::*;
@@ -419,7 +361,7 @@ mod tests {
 
     #[test]
     fn truncated_elements_keep_their_available_bytes() {
-        let all: Vec<_> = Elements::new(&[0xd7, 0x81, 5, 0x42, 0x86, 0x84, 1, 2]).collect();
+        let all: Vec<_> = Elements(&[0xd7, 0x81, 5, 0x42, 0x86, 0x84, 1, 2]).collect();
         assert_eq!(all, [(0xd7, &[5][..]), (0x4286, &[1, 2])]);
     }
 }

@@ -8,6 +8,7 @@ use super::mp4_boxes::{Sample, box_header};
 use super::mp4_fragments::Fragments;
 use super::mp4_tables::{self, Edit};
 use super::{Packet, PacketReader, VideoCodec, VideoTrack};
+use crate::file_error::unreadable;
 use crate::limits;
 use odograph::error::{Error, Result};
 use std::fs::File;
@@ -210,10 +211,6 @@ fn read_index(file: &mut BufReader<File>, length: u64, warnings: &mut Vec<String
             "there is no index (moov box) and no video in this MP4 file; copy or record it again",
         )),
     }
-}
-
-fn unreadable(error: std::io::Error) -> Error {
-    Error::input(format!("cannot be read: {error}"))
 }
 
 #[cfg(test)]

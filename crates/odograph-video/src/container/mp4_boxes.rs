@@ -30,31 +30,23 @@ pub(super) fn box_header(bytes: &[u8], available: u64) -> Option<([u8; 4], u64, 
 }
 
 /// Iterates over the boxes inside a box; the last one may be truncated.
-pub(super) struct Boxes<'a> {
-    rest: &'a [u8],
-}
-
-impl<'a> Boxes<'a> {
-    pub fn new(rest: &'a [u8]) -> Self {
-        Self { rest }
-    }
-}
+pub(super) struct Boxes<'a>(pub &'a [u8]);
 
 impl<'a> Iterator for Boxes<'a> {
     type Item = ([u8; 4], &'a [u8]);
 
     fn next(&mut self) -> Option<Self::Item> {
-        let (kind, header, size) = box_header(self.rest, self.rest.len() as u64)?;
-        let end = usize::try_from(size).unwrap_or(usize::MAX).min(self.rest.len());
-        let payload = self.rest.get(header as usize..end)?;
-        self.rest = &self.rest[end..];
+        let (kind, header, size) = box_header(self.0, self.0.len() as u64)?;
+        let end = usize::try_from(size).unwrap_or(usize::MAX).min(self.0.len());
+        let payload = self.0.get(header as usize..end)?;
+        self.0 = &self.0[end..];
         Some((kind, payload))
     }
 }
 
 /// The first box of a given type inside another.
 pub(super) fn child<'a>(parent: &'a [u8], kind: &[u8; 4]) -> Option<Bytes<'a>> {
-    Boxes::new(parent).find(|(k, _)| k == kind).map(|(_, payload)| Bytes::new(payload))
+    Boxes(parent).find(|(k, _)| k == kind).map(|(_, payload)| Bytes::new(payload))
 }
 
 pub(super) fn too_many() -> Error {

@@ -9,7 +9,7 @@ use crate::frame::{ColorEncoding, Matrix};
 pub(super) fn describe(stsd: &[u8]) -> Option<VideoTrack> {
     let mut bytes = Bytes::new(stsd);
     bytes.skip(8)?;
-    let (kind, entry) = Boxes::new(bytes.rest()).next()?;
+    let (kind, entry) = Boxes(bytes.rest()).next()?;
     let mut bytes = Bytes::new(entry);
     bytes.skip(24)?;
     let (width, height) = (usize::from(bytes.u16()?), usize::from(bytes.u16()?));

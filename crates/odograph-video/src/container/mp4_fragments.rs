@@ -26,7 +26,7 @@ impl Fragments {
     /// Appends the samples of a track; true if there are fragments of it (14496-12, 8.8).
     pub fn samples(&self, track: u32, moov: &[u8], samples: &mut Vec<Sample>) -> Result<bool> {
         let defaults = child(moov, b"mvex").and_then(|mvex| {
-            Boxes::new(mvex.rest()).filter(|(kind, _)| kind == b"trex").find_map(|(_, payload)| {
+            Boxes(mvex.rest()).filter(|(kind, _)| kind == b"trex").find_map(|(_, payload)| {
                 let mut bytes = Bytes::new(payload);
                 bytes.skip(4)?;
                 let id = bytes.u32()?;
@@ -38,7 +38,7 @@ impl Fragments {
         let mut any = false;
         for (at, moof) in &self.fragments {
             let mut end_of_previous = *at;
-            for (kind, traf) in Boxes::new(moof) {
+            for (kind, traf) in Boxes(moof) {
                 if &kind != b"traf" {
                     continue;
                 }
@@ -53,7 +53,7 @@ impl Fragments {
                     decode_time = start.map_or(decode_time, |t| t as i64);
                 }
                 let mut offset = head.base;
-                for (kind, trun) in Boxes::new(traf) {
+                for (kind, trun) in Boxes(traf) {
                     if &kind == b"trun" {
                         head.run(trun, &mut offset, &mut decode_time, samples);
                     }

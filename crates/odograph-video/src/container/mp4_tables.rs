@@ -29,7 +29,7 @@ pub(super) struct Movie {
 pub(super) fn movie(moov: &[u8], fragments: &Fragments) -> Result<Movie> {
     let (movie_timescale, movie_matrix) = movie_header(moov).unwrap_or((1000, UPRIGHT));
     let mut seen = None;
-    for (kind, trak) in Boxes::new(moov) {
+    for (kind, trak) in Boxes(moov) {
         if &kind != b"trak" {
             continue;
         }

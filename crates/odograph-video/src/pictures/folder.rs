@@ -105,7 +105,8 @@ impl Listing {
     }
 }
 
-fn name_of(path: &Path) -> String {
+/// The last part of a path; empty if it has none.
+pub(crate) fn name_of(path: &Path) -> String {
     path.file_name().map(|n| n.to_string_lossy().into_owned()).unwrap_or_default()
 }
 

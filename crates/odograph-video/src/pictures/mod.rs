@@ -6,4 +6,4 @@ mod folder;
 mod portable;
 
 pub(crate) use decode::{decode, is_picture};
-pub(crate) use folder::{natural_order, open_folder, open_picture};
+pub(crate) use folder::{name_of, natural_order, open_folder, open_picture};

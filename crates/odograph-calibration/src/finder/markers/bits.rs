@@ -1,5 +1,6 @@
 //! Decoding of the bits of a marker at a known position.
 
+use crate::finder::ring::interpolated;
 use nalgebra::{Matrix3, Vector3};
 use odograph::geometry::Pixel;
 use odograph::image::GrayImage;
@@ -152,18 +153,4 @@ impl GraySamples {
         let count = self.samples.iter().filter(|&&(x, y, value)| is(x, y, value)).count();
         count as f64 / self.samples.len().max(1) as f64
     }
-}
-
-/// Bilinear interpolation; `None` outside the image.
-pub(crate) fn interpolated(image: &GrayImage, at: Pixel) -> Option<f64> {
-    let inside =
-        at.x >= 0.0 && at.y >= 0.0 && at.x < image.width() as f64 - 1.0 && at.y < image.height() as f64 - 1.0;
-    if !inside {
-        return None; // false for NaN too
-    }
-    let (x, y) = (at.x as usize, at.y as usize);
-    let (fx, fy) = (at.x - x as f64, at.y - y as f64);
-    let across = |row: &[u8]| f64::from(row[x]) + fx * (f64::from(row[x + 1]) - f64::from(row[x]));
-    let (upper, lower) = (across(image.row(y)), across(image.row(y + 1)));
-    Some(upper + fy * (lower - upper))
 }

@@ -1,6 +1,7 @@
 //! Decoding of blurred markers, whose bits merge, by template matching of the whole marker.
 
 use super::bits::MAX_BITS;
+use crate::dictionary::bit;
 
 /// Standard deviations of the blur of the templates, in bits.
 const BLURS: [f64; 4] = [0.35, 0.55, 0.75, 1.0];
@@ -89,7 +90,7 @@ fn look(code: u64, bits: usize, blur: f64) -> Grays {
     let white = |column: usize, row: usize| {
         // Counted from one; the border is at 0.
         let inside = (1..=bits).contains(&column) && (1..=bits).contains(&row);
-        inside && code >> (bits * bits - 1 - (row - 1) * bits - (column - 1)) & 1 == 1
+        inside && bit(code, bits, column - 1, row - 1) == 1
     };
     let mut grays = [0.0; MAX_BITS * MAX_BITS];
     for row in 0..bits {

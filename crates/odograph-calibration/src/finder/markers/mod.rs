@@ -10,9 +10,10 @@ mod outlines;
 mod quadrangles;
 mod threshold;
 
-pub(super) use bits::{MarkerLayout, interpolated, read};
+pub(super) use bits::{MarkerLayout, read};
 
 use super::plane_map::{PlaneMap, least_width};
+use crate::dictionary::{bit, turned_once};
 use bits::Reading;
 use blurred::Blurred;
 use odograph::geometry::Pixel;
@@ -129,16 +130,9 @@ const BLURRED_BIT_PX: f64 = 6.0;
 /// Maximum number of corrected bit errors; with more, texture is decoded as markers.
 const MAX_FORGIVEN: u32 = 3;
 
-/// The bits after a clockwise rotation by 90°.
-fn turned_once(bits: u64, side: usize) -> u64 {
-    let bit = |column: usize, row: usize| bits >> (side * side - 1 - row * side - column) & 1;
-    (0..side * side).fold(0, |turned, at| turned << 1 | bit(at / side, side - 1 - at % side))
-}
-
 /// The bits mirrored left to right.
 fn in_mirror(bits: u64, side: usize) -> u64 {
-    let bit = |column: usize, row: usize| bits >> (side * side - 1 - row * side - column) & 1;
-    (0..side * side).fold(0, |turned, at| turned << 1 | bit(side - 1 - at % side, at / side))
+    (0..side * side).fold(0, |turned, at| turned << 1 | bit(bits, side, side - 1 - at % side, at / side))
 }
 
 /// All decodable markers of the board in an image. A marker may be detected several times: once for
@@ -237,14 +231,11 @@ fn identify(image: &GrayImage, codes: &Codes, corners: [Pixel; 4], markers: &mut
             markers.read.push(Marker { id, corners, layout: drawn });
             return;
         }
-        let mirrored = codes.look_up(in_mirror(reading.bits, layout.bits));
-        if let Some((id, turn)) = mirrored {
+        if let Some((id, turn)) = codes.look_up(in_mirror(reading.bits, layout.bits)) {
             // In a mirrored image the corners are in reverse order, starting from the second.
             let corners = [1, 0, 3, 2].map(|i| corners[i]);
             let corners = [0, 1, 2, 3].map(|i| corners[(i + turn) % 4]);
             markers.mirrored.push(Marker { id, corners, layout: drawn });
-        }
-        if mirrored.is_some() {
             return;
         }
     }

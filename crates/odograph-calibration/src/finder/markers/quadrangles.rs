@@ -1,6 +1,6 @@
 //! Detection of quadrangles among outlines.
 
-use super::bits::interpolated;
+use crate::finder::ring::interpolated;
 use odograph::geometry::Pixel;
 use odograph::image::GrayImage;
 

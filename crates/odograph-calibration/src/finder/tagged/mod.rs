@@ -120,6 +120,11 @@ impl TaggedBoard {
         view.into_board_view()
     }
 
+    /// Position of a point on the board, metres.
+    fn place(&self, point: usize) -> (f64, f64) {
+        (self.points[point].x_m, self.points[point].y_m)
+    }
+
     /// Numbers of mutually consistent markers among those of a larger dictionary.
     pub fn numbers_agreeing(&self, read: &[Marker]) -> Vec<usize> {
         let own: Vec<Marker> =
@@ -232,17 +237,12 @@ impl GrowingView<'_> {
         }
     }
 
-    /// The local homography around a position, from the located points nearby and, if those are
-    /// few, from marker corners. The point `without` is excluded.
-    fn map_around(
-        &self,
-        place: (f64, f64),
-        column: usize,
-        row: usize,
-        without: Option<usize>,
-    ) -> Option<PlaneMap> {
+    /// The local homography around a position close to a point, from the located points nearby and,
+    /// if those are few, from marker corners. The point `without` is excluded.
+    fn map_around(&self, place: (f64, f64), point: usize, without: Option<usize>) -> Option<PlaneMap> {
         let board = self.board;
         let (columns, rows) = board.grid;
+        let (column, row) = (point % columns, point / columns);
         let mut pairs: Vec<WeightedMatch> = Vec::with_capacity(64);
         let weight = |at: (f64, f64)| {
             let distance = (at.0 - place.0).hypot(at.1 - place.1) / board.spacing_m;
@@ -255,7 +255,7 @@ impl GrowingView<'_> {
                 if let Some(pixel) = self.seen[other]
                     && without != Some(other)
                 {
-                    let at = (board.points[other].x_m, board.points[other].y_m);
+                    let at = board.place(other);
                     pairs.push((at, pixel, weight(at)));
                 }
             }
@@ -315,16 +315,14 @@ impl GrowingView<'_> {
 
     /// Locates a point at the position predicted by its neighbourhood.
     fn look_from_around(&mut self, point: usize) -> Option<PointLook> {
-        let board = self.board;
-        let place = (board.points[point].x_m, board.points[point].y_m);
-        let map = self.map_around(place, point % board.grid.0, point / board.grid.0, None)?;
+        let map = self.map_around(self.board.place(point), point, None)?;
         self.look(point, &map)
     }
 
     /// Locates a point at the position predicted by a map.
     fn look(&mut self, point: usize, map: &PlaneMap) -> Option<PointLook> {
         let board = self.board;
-        let place = (board.points[point].x_m, board.points[point].y_m);
+        let place = board.place(point);
         let width = least_width(map.steps(place, 1.0)?) * board.spacing_m;
         if !(MIN_SPACING_PX..1e4).contains(&width) {
             return None;
@@ -365,8 +363,7 @@ impl GrowingView<'_> {
         let (right, down) = ((b.0 - a.0, b.1 - a.1), (d.0 - a.0, d.1 - a.1));
         let at = |x: f64, y: f64| (a.0 + x * right.0 + y * down.0, a.1 + x * right.1 + y * down.1);
         let &nearest = board.points_of_marker[marker].first()?;
-        let (column, row) = (nearest % board.grid.0, nearest / board.grid.0);
-        let map = self.map_around(at(0.5, 0.5), column, row, None)?;
+        let map = self.map_around(at(0.5, 0.5), nearest, None)?;
         let side = (b.0 - a.0).hypot(b.1 - a.1);
         let width = least_width(map.steps(at(0.5, 0.5), side)?);
         let readings = board.codes.layouts.iter().filter_map(|&layout: &MarkerLayout| {
@@ -379,15 +376,10 @@ impl GrowingView<'_> {
     /// Plausibility check: among all markers whose position is known, those with the expected code
     /// must outnumber those with another one.
     fn is_plausible(&self) -> bool {
-        let readings = (0..self.agrees.len()).filter_map(|marker| self.marker_is_there(marker));
-        let (right, wrong) =
-            readings.fold(
-                (0, 0),
-                |(right, wrong), is_there| {
-                    if is_there { (right + 1, wrong) } else { (right, wrong + 1) }
-                },
-            );
-        right >= self.board.least_markers && right > wrong
+        let readings: Vec<bool> =
+            (0..self.agrees.len()).filter_map(|marker| self.marker_is_there(marker)).collect();
+        let right = readings.iter().filter(|&&is_there| is_there).count();
+        right >= self.board.least_markers && 2 * right > readings.len()
     }
 
     /// Rejects points that are inconsistent with their neighbours.
@@ -396,9 +388,8 @@ impl GrowingView<'_> {
         let mut wrong = Vec::new();
         for point in 0..board.points.len() {
             let Some(pixel) = self.seen[point] else { continue };
-            let place = (board.points[point].x_m, board.points[point].y_m);
-            let (column, row) = (point % board.grid.0, point / board.grid.0);
-            let Some(map) = self.map_around(place, column, row, Some(point)) else { continue };
+            let place = board.place(point);
+            let Some(map) = self.map_around(place, point, Some(point)) else { continue };
             let (Some(predicted), Some(steps)) = (map.pixel(place), map.steps(place, board.spacing_m)) else {
                 wrong.push(point);
                 continue;

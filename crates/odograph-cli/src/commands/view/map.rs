@@ -127,11 +127,11 @@ fn records_of(
 }
 
 /// The mosaic that the map has; where it has none it is rendered while it is looked at.
-pub fn ground(path: &Path, most_pixels: usize, ended: &Arc<AtomicBool>) -> Result<Box<dyn TiledGround>> {
+pub fn ground(path: &Path, most_pixels: usize, ended: &Arc<AtomicBool>) -> Result<Arc<dyn TiledGround>> {
     let file = MapFile::open_read_only(path)?;
     if let Some(picture) = file.mosaic_picture(most_pixels)? {
         let picture = GroundPicture::new(picture.rgba, picture.width, picture.height, picture.placement)?;
-        return Ok(Box::new(picture));
+        return Ok(Arc::new(picture));
     }
     let tiles = Arc::new(GrowingTiles::default());
     thread::spawn({
@@ -139,7 +139,7 @@ pub fn ground(path: &Path, most_pixels: usize, ended: &Arc<AtomicBool>) -> Resul
         // Where it fails what is rendered stays: paths and keyframes can be looked at without.
         move || drop(render(file, &tiles, &ended))
     });
-    Ok(Box::new(tiles))
+    Ok(tiles)
 }
 
 fn render(mut file: MapFile, tiles: &GrowingTiles, ended: &AtomicBool) -> Result<()> {

@@ -95,11 +95,11 @@ fn serve_run(folder: &Path, serve: &ServeArguments) -> Result<Serving> {
         recovered: UnfinishedRun::in_folder(folder).is_some(),
         calibration: false,
     };
-    let ground: Box<dyn TiledGround> = match GroundPicture::of_run(folder, MAX_PIXELS)? {
-        Some(picture) => Box::new(picture),
-        None => Box::new(Mutex::new(Mosaic::new(Default::default()))),
+    let ground: Arc<dyn TiledGround> = match GroundPicture::of_run(folder, MAX_PIXELS)? {
+        Some(picture) => Arc::new(picture),
+        None => Arc::new(Mutex::new(Mosaic::new(Default::default()))),
     };
-    let hub = Arc::new(Hub::new(introduction, Arc::from(ground)));
+    let hub = Arc::new(Hub::new(introduction, ground));
     let serving = Serving::start(serve, hub, Offer::of_run(folder))?;
     show(&serving, &records, marks(folder, &records));
     Ok(serving)
@@ -121,7 +121,7 @@ fn serve_map(path: &Path, serve: &ServeArguments, ended: &Arc<AtomicBool>) -> Re
     let folder = path.parent().filter(|folder| *folder != Path::new("")).unwrap_or(Path::new("."));
     let name = path.file_name().unwrap_or_default().to_string_lossy().into_owned();
     let offer = Offer { folder: folder.to_owned(), files: vec![name] };
-    let hub = Arc::new(Hub::new(introduction, Arc::from(ground)));
+    let hub = Arc::new(Hub::new(introduction, ground));
     let serving = Serving::start(serve, hub, offer)?;
     serving.hub().notify("map", &view.graph);
     if view.markers.as_array().is_some_and(|markers| !markers.is_empty()) {

@@ -4,12 +4,11 @@ use super::arrival_clock::ArrivalClock;
 use super::back_off::BackOff;
 use super::multipart::{Multipart, boundary};
 use super::url::HttpUrl;
-use super::{Captured, LiveSource, Watch};
+use super::{Captured, LiveSource, Watch, check_size};
 use base64::Engine as _;
 use base64::engine::general_purpose::STANDARD as BASE64;
 use odograph::error::{Error, Result};
 use odograph_video::{Frame, Picture, SourceInfo};
-use std::fmt;
 use std::io::{self, BufRead, BufReader, Read, Write};
 use std::net::{TcpStream, ToSocketAddrs};
 use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
@@ -159,7 +158,7 @@ impl HttpMjpeg {
                         self.connection = Some(connection);
                         continue;
                     }
-                    Err(error) => error.to_string(),
+                    Err(NoStream { why, .. }) => why,
                 },
                 Some(connection) => match connection.next(&mut self.part) {
                     Ok(true) => {
@@ -211,13 +210,7 @@ impl LiveSource for HttpMjpeg {
                 None => return Ok(None),
             },
         };
-        let (width, height) = (picture.gray.width(), picture.gray.height());
-        if (width, height) != (self.info.width, self.info.height) {
-            return Err(Error::input(format!(
-                "{} now sends {width}x{height} pixels, at first it was {}x{}; a camera must keep its size",
-                self.place, self.info.width, self.info.height
-            )));
-        }
+        check_size(&self.place, &picture.gray, &self.info)?;
         let arrival_s = at.saturating_duration_since(self.began).as_secs_f64();
         let time_s = self.clock.time_s(arrival_s, stamp_s);
         self.number += 1;
@@ -260,12 +253,6 @@ impl NoStream {
             _ => error.to_string(),
         };
         Self::new(why, CHECK_ADDRESS)
-    }
-}
-
-impl fmt::Display for NoStream {
-    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
-        f.write_str(&self.why)
     }
 }
 

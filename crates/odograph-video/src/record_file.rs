@@ -1,18 +1,15 @@
 //! Sequential reading of a file of records whose lengths may be damaged.
 
-use odograph::error::{Error, Result};
+use crate::file_error::unreadable;
+use odograph::error::Result;
 use std::fs::File;
-use std::io::{BufReader, Read, Seek, SeekFrom};
+use std::io::{self, BufReader, Read, Seek, SeekFrom};
 
 /// A file of records.
-pub(super) struct RecordFile {
+pub(crate) struct RecordFile {
     file: BufReader<File>,
     length: u64,
     at: u64,
-}
-
-fn unreadable(error: std::io::Error) -> Error {
-    Error::input(format!("cannot be read: {error}"))
 }
 
 impl RecordFile {
@@ -53,12 +50,20 @@ impl RecordFile {
     }
 
     /// Reads `count` bytes, fewer at the end of the file; memory is allocated for those that exist.
-    pub fn read(&mut self, count: u64, into: &mut Vec<u8>) -> Result<()> {
+    pub fn fill(&mut self, count: u64, into: &mut Vec<u8>) -> Result<()> {
         let there = count.min(self.remaining());
         into.clear();
         into.reserve(usize::try_from(there).unwrap_or(0));
         (&mut self.file).take(there).read_to_end(into).map_err(unreadable)?;
         self.at += into.len() as u64;
         Ok(())
+    }
+}
+
+impl Read for RecordFile {
+    fn read(&mut self, bytes: &mut [u8]) -> io::Result<usize> {
+        let read = self.file.read(bytes)?;
+        self.at += read as u64;
+        Ok(read)
     }
 }
