@@ -236,6 +236,17 @@ fn errors_say_what_to_do_and_have_their_cause() {
 }
 
 #[test]
+fn a_reference_without_times_is_refused_before_the_run() {
+    let folder = tempfile::tempdir().unwrap();
+    let path = folder.path().join("truth.kitti");
+    std::fs::write(&path, "1 0 0 0 0 1 0 0 0 0 1 0\n".repeat(5)).unwrap();
+    let error = clip::run(5).reference(&path).run(&()).unwrap_err();
+    assert_eq!(error.kind(), ErrorKind::Input);
+    let error = error.to_string();
+    assert!(error.contains("truth.kitti has no times") && error.contains("TUM's format"), "{error}");
+}
+
+#[test]
 fn a_doubtful_height_in_a_rig_file_is_questioned() {
     let folder = tempfile::tempdir().unwrap();
     let rig = folder.path().join("rig.toml");

@@ -114,6 +114,27 @@ fn kitti_files_are_recognised_by_their_columns() {
 }
 
 #[test]
+fn a_file_without_times_is_compared_by_number_with_one_that_has_them() {
+    let (_keep, folder) = folder();
+    // The camera of `tum`, without its times.
+    let kitti = |i: i32| format!("0 -1 0 {} -1 0 0 0 0 0 -1 1\n", 0.1 * f64::from(i) * 1.02);
+    fs::write(folder.join("estimate.kitti"), (0..=100).map(kitti).collect::<String>()).unwrap();
+    fs::write(folder.join("short.kitti"), (0..50).map(kitti).collect::<String>()).unwrap();
+    let errors = |estimate: &str, truth: &str| -> Value {
+        let output = odograph(&[estimate, truth, "--json", "--align", "none"], &folder);
+        serde_json::from_slice(&output.stdout).unwrap_or_else(|_| panic!("{output:?}"))
+    };
+    for (estimate, truth) in [("estimate.kitti", "truth.tum"), ("truth.tum", "estimate.kitti")] {
+        let figures = errors(estimate, truth);
+        assert_eq!(figures["compared_poses"], 101);
+        let most_m = figures["absolute"]["translation_m"]["max"].as_f64().unwrap();
+        assert!((most_m - 0.2).abs() < 1e-6, "{most_m}");
+    }
+    let output = odograph(&["short.kitti", "truth.tum"], &folder);
+    assert_eq!(output.status.code(), Some(3), "{output:?}");
+}
+
+#[test]
 fn a_plot_is_written_and_not_overwritten() {
     let (_keep, folder) = folder();
     let draw = |extra: &[&str]| {
