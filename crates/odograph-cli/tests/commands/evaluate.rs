@@ -177,6 +177,7 @@ fn incomparable_trajectories_are_refused_in_one_sentence() {
         ("nan.tum", b"0 1 2 3 0 0 0 1\n1 1 nan 3 0 0 0 1\n"),
         ("back.tum", b"1 1 2 3 0 0 0 1\n0 1 2 3 0 0 0 1\n"),
         ("still.tum", b"0 1 2 3 0 0 0 1\n1 1 2 3 0 0 0 1\n"),
+        ("one.tum", b"1 1 2 3 0 0 0 1\n"),
         ("later.tum", later.as_bytes()),
     ] {
         fs::write(folder.join(name), content).unwrap();
@@ -191,6 +192,8 @@ fn incomparable_trajectories_are_refused_in_one_sentence() {
         (&["truth.tum", "nan.tum"], 3, "nan.tum: line 2: \"nan\""),
         (&["back.tum", "truth.tum"], 3, "back.tum: line 2: the time 0 s"),
         (&["later.tum", "truth.tum"], 3, "no pose of the estimate"),
+        (&["one.tum", "truth.tum"], 3, "only one pose of one.tum and truth.tum can be compared"),
+        (&["truth.tum", "one.tum", "--align", "origin"], 3, "alignment origin leaves it no error"),
         (&["still.tum", "truth.tum", "--align", "sim3"], 3, "do not determine a scale"),
         (&["estimate.tum", "truth.tum", "--delta", "0m"], 2, "not a stretch"),
         (&["estimate.tum", "truth.tum", "--delta", "3"], 2, "not a stretch"),
@@ -243,7 +246,7 @@ fn control_characters_of_a_file_name_are_escaped() {
 fn a_single_pose_has_a_path_of_zero() {
     let (_keep, folder) = folder();
     fs::write(folder.join("one.tum"), "1 0 0 1 0 0 0 1\n").unwrap();
-    let table = stdout(&odograph(&["one.tum", "one.tum"], &folder));
+    let table = stdout(&odograph(&["one.tum", "one.tum", "--align", "none"], &folder));
     assert!(table.contains("0.000 m estimated over the ground") && !table.contains("-0.000"), "{table}");
 }
 

@@ -168,6 +168,15 @@ pub fn evaluate(arguments: EvaluateArguments) -> Result<Outcome> {
         segment_lengths_m: arguments.segments.clone(),
     };
     let evaluation = measure(&estimate.trajectory, &truth.trajectory, &options)?;
+    if evaluation.pairs.len() == 1 && options.alignment != Alignment::None {
+        return Err(Error::input(format!(
+            "only one pose of {} and {} can be compared, and alignment {} leaves it no error; check that both use the \
+             same clock, allow a larger --max-time-difference, or give --align none if both are in the same world",
+            arguments.estimate.display(),
+            arguments.truth.display(),
+            options.alignment
+        )));
+    }
     let figures = [
         evaluation.absolute.translation.rmse,
         evaluation.absolute.rotation.rmse,
