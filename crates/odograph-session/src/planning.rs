@@ -5,7 +5,7 @@ use crate::markers::MarkerWatch;
 use crate::observer::Observer;
 use crate::plan::{FrameChoice, RunPlan, SourcePlan};
 use crate::rig::{other_size, parse_camera, read_rig, recorded_rig};
-use crate::{budget, files};
+use crate::{budget, files, pixel_shape};
 use odograph::camera::{Camera, LeverArm, Rig};
 use odograph::error::{Error, Result};
 use odograph::formats::rig_file;
@@ -77,6 +77,15 @@ impl RunBuilder {
         // So are an unknown family of markers and unreadable control points.
         MarkerWatch::new(&plan, &plan.camera)?;
         Ok((plan, source))
+    }
+
+    /// Warns where the stated field of view does not make the pixels of frames of this size square.
+    pub(crate) fn question_pixels(&self, size: (usize, usize), observer: &dyn Observer) {
+        if let Some(CameraChoice::FieldOfView(width_m, height_m)) = self.camera
+            && let Some(doubt) = pixel_shape::doubt(size, (width_m, height_m))
+        {
+            observer.warn(&doubt);
+        }
     }
 
     /// Fails if the camera is not calibrated for frames of this size, pixels.

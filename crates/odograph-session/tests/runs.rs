@@ -247,6 +247,14 @@ fn a_reference_without_times_is_refused_before_the_run() {
 }
 
 #[test]
+fn a_field_of_view_with_its_sides_exchanged_is_questioned() {
+    let observer = Listening::default();
+    drop(RunBuilder::over(clip::source(5)).field_of_view_m(0.9, 1.2).open(&observer).unwrap());
+    let heard = observer.heard.into_inner().unwrap();
+    assert!(heard.len() == 1 && heard[0].contains("probably exchanged: 1.2x0.9"), "{heard:?}");
+}
+
+#[test]
 fn a_doubtful_height_in_a_rig_file_is_questioned() {
     let folder = tempfile::tempdir().unwrap();
     let rig = folder.path().join("rig.toml");

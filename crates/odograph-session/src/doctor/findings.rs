@@ -4,6 +4,7 @@ use super::appearance::Appearance;
 use super::intervals::Intervals;
 use super::lens::{Codec, Coded, GivenLens};
 use super::tracking::Tracking;
+use crate::pixel_shape;
 use crate::rig::advice_for_other_size;
 use odograph::camera::{Camera, Rig};
 use odograph::fixed_pattern::FixedPattern;
@@ -111,7 +112,12 @@ impl Seen<'_> {
         let (width, height) = self.size;
         let (judgement, measured, advice) = match self.lens {
             GivenLens::Fits => (Judgement::Good, format!("calibrated for {width}x{height}"), None),
-            GivenLens::FieldOfView => (
+            GivenLens::FieldOfView(width_m, height_m)
+                if let Some(doubt) = pixel_shape::doubt(self.size, (width_m, height_m)) =>
+            {
+                (Judgement::Spoils, doubt, Some("give it as WIDTHxHEIGHT, width along the rows of the image"))
+            }
+            GivenLens::FieldOfView(..) => (
                 Judgement::Limits,
                 "a measured field of view; lens distortion and tilt are taken as zero".to_owned(),
                 Some("calibrate with a board: odograph calibrate"),
