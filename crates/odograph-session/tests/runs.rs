@@ -112,6 +112,9 @@ fn a_run_that_is_asked_to_stop_has_written_what_there_is() {
     assert_eq!(outcome.end, RunEnd::Interrupted);
     assert_eq!(outcome.trajectory.len(), 10);
     assert!(folder.path().join("stats.json").exists());
+    // It has ended, and is not complete.
+    let refused = RunBuilder::resuming(folder.path()).unwrap_err().to_string();
+    assert!(refused.contains("was interrupted, which cannot be continued; odograph run"), "{refused}");
 }
 
 #[test]
