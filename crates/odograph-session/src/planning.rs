@@ -144,6 +144,13 @@ fn is_missing(source: &str) -> bool {
     source != "-" && !source.contains("://") && !Path::new(source).exists()
 }
 
+fn no_camera() -> Error {
+    Error::usage(
+        "no camera is given; give --camera FILE, as odograph calibrate writes it, and --height LENGTH; or \
+         --field-of-view WIDTHxHEIGHT in metres as measured on the ground",
+    )
+}
+
 impl<'a> GivenCamera<'a> {
     fn by(builder: &'a RunBuilder) -> Result<Self> {
         let map = builder.output.map.path();
@@ -164,10 +171,12 @@ impl<'a> GivenCamera<'a> {
             (None, None) if is_missing(&builder.source.path) => {
                 Err(Error::input("there is no such file or folder").at(&builder.source.path))
             }
-            (None, None) => Err(Error::usage(
-                "no camera is given; give --camera FILE, as odograph calibrate writes it, and --height LENGTH; or \
-                 --field-of-view WIDTHxHEIGHT in metres as measured on the ground",
-            )),
+            // Nor is a file that is no recording.
+            (None, None) if Path::new(&builder.source.path).is_file() => {
+                builder.source.open()?;
+                Err(no_camera())
+            }
+            (None, None) => Err(no_camera()),
         }
     }
 
