@@ -88,7 +88,7 @@ pub fn evaluate(
             )));
         }
     };
-    let (estimate, truth) = (estimate.read("estimate")?, truth.read("truth")?);
+    let (mut estimate, mut truth) = (estimate.read("estimate")?, truth.read("truth")?);
     let counts = [&estimate, &truth].map(|loaded| loaded.trajectory.poses.len());
     if !(estimate.timed && truth.timed) && counts[0] != counts[1] {
         return Err(Failure::usage(format!(
@@ -97,6 +97,7 @@ pub fn evaluate(
             counts[0], counts[1]
         )));
     }
+    LoadedTrajectory::number_unless_timed(&mut estimate, &mut truth);
     let lengths = deltas.into_iter().map(Delta::Metres);
     let options = EvaluationOptions {
         max_time_difference_s: max_time_difference,

@@ -13,7 +13,7 @@ use odograph::error::{Error, Result};
 use odograph::formats::geojson::{self, Feature};
 use odograph::formats::gnss_file;
 use odograph::geometry::EarthPosition;
-use odograph::georeference::{AntennaPosition, Georeference, GnssFix, georeference};
+use odograph::georeference::{AntennaPosition, FixUse, Georeference, GnssFix, georeference};
 use odograph::keyframe::KeyframeId;
 use odograph::pose_frame::PoseFrames;
 use odograph::slam::{AntennaFix, DriftCorrection};
@@ -142,7 +142,8 @@ impl GnssRecord {
             (None, Err(reason)) => reason.to_string(),
             (None, Ok(found)) => {
                 let statistics = GnssStatistics::of(&self.fixes, &found, bent);
-                let warnings = statistics.warnings(&self.name, plan.rig.height_m);
+                let mut warnings = statistics.warnings(&self.name, plan.rig.height_m);
+                warnings.extend(self.clock_warning(path, &found));
                 return OnEarth { statistics, warnings, place: Some(found) };
             }
         };
@@ -150,6 +151,50 @@ impl GnssRecord {
         let statistics =
             GnssStatistics { fixes: self.fixes.len(), reason: Some(reason), ..GnssStatistics::default() };
         OnEarth { statistics, warnings, place: None }
+    }
+}
+
+/// Magnitude of an estimated clock offset above which the receiver's times are doubted, seconds: five
+/// times what synchronised clocks may differ by, and all that a stated start may be off by.
+const DOUBTED_OFFSET_S: f64 = 1.0;
+
+/// Fraction of the positions with a path at their times that may be unused; of more, the times are
+/// doubted.
+const DOUBTED_UNUSED: f64 = 0.2;
+
+impl GnssRecord {
+    /// A warning where the times are probably of another clock: over a regular path, positions at
+    /// wrong times agree with a wrong place and direction, and nothing else shows it.
+    fn clock_warning(&self, path: &[AntennaPosition], found: &Georeference) -> Option<String> {
+        let has_path = |fix: &GnssFix| {
+            let next = path.partition_point(|at| at.time_s <= fix.time_s);
+            let around = next.checked_sub(1).and_then(|before| path.get(before)).zip(path.get(next));
+            around.is_some_and(|(before, after)| {
+                let step_s = after.time_s - before.time_s;
+                before.segment == after.segment && step_s <= AntennaPosition::LONGEST_STEP_S
+            })
+        };
+        let fixes = || self.fixes.iter().zip(&found.fixes).filter(|(fix, _)| has_path(fix));
+        let within = fixes().count();
+        let unused = fixes().filter(|(_, of)| !matches!(of, FixUse::Used(_))).count();
+        let offset_s = found.clock_offset_s;
+        let is_far = offset_s.abs() > DOUBTED_OFFSET_S;
+        let lacks = unused as f64 > DOUBTED_UNUSED * within as f64;
+        let way = if offset_s < 0.0 { "behind" } else { "ahead of" };
+        let clock = format!("its clock was found to be {:.2} s {way} the recording's", offset_s.abs());
+        let share = format!("{unused} of its {within} positions along the path are not used");
+        let shown = match (is_far, lacks) {
+            (false, false) => return None,
+            (true, false) => clock,
+            (false, true) => share,
+            (true, true) => format!("{clock}, and {share}"),
+        };
+        Some(format!(
+            "the times of {} may not be those of the recording: {shown}; place and bearing may be wrong by far more than their \
+             standard deviations; compare the times of both, and give --gnss-start to a second where they count from another \
+             moment",
+            self.name
+        ))
     }
 }
 
@@ -281,4 +326,61 @@ fn utm_line(found: &Georeference, frame: &FrameSummary, place: &PlaceSummary) ->
         bearing_sigma_rad.to_degrees()
     );
     line
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use odograph::geometry::TangentPlane;
+
+    /// A drive in bends, 40 s at about 1 m/s.
+    fn way(time_s: f64) -> Vector2<f64> {
+        Vector2::new(0.9 * time_s + (0.5 * time_s).sin(), 4.0 * (0.31 * time_s).sin())
+    }
+
+    /// The path, and a receiver whose clock is ahead by this.
+    fn recorded(clock_s: f64) -> (Vec<AntennaPosition>, GnssRecord) {
+        let path = (0..=800).map(|k| f64::from(k) / 20.0).map(|time_s| AntennaPosition {
+            time_s,
+            position_m: way(time_s),
+            covariance_m2: Matrix2::identity() * 1e-6,
+            segment: 0,
+        });
+        let reference = EarthPosition::from_degrees(48.2, 16.4).unwrap();
+        let plane = TangentPlane { reference, altitude_m: 180.0 };
+        let fixes = (0..=40).map(f64::from).map(|time_s| {
+            let at = way(time_s);
+            GnssFix {
+                time_s: time_s + clock_s,
+                place: plane.place([at.x, at.y]),
+                altitude_m: Some(180.0),
+                covariance_m2: GnssFix::covariance_m2(0.02, 0.02),
+            }
+        });
+        let record = GnssRecord {
+            name: "log.csv".to_owned(),
+            fixes: fixes.collect(),
+            clock_sigma_s: STATED_S,
+            is_received: false,
+        };
+        (path.collect(), record)
+    }
+
+    #[test]
+    fn a_clock_that_is_far_off_is_doubted() {
+        let warning = |clock_s: f64, unused: usize| {
+            let (path, record) = recorded(clock_s);
+            let mut found = georeference(&path, &record.fixes, record.clock_sigma_s).unwrap();
+            assert!((found.clock_offset_s - clock_s).abs() < 0.1, "{}", found.clock_offset_s);
+            found.fixes[10..10 + unused].fill(FixUse::Rejected(3.0));
+            record.clock_warning(&path, &found)
+        };
+        assert_eq!(warning(0.1, 0), None);
+        assert_eq!(warning(0.1, 6), None);
+        let far = warning(-1.7, 0).unwrap();
+        assert!(far.contains("log.csv") && far.contains("its clock was found to be 1.70 s behind"), "{far}");
+        let unused = warning(0.1, 12).unwrap();
+        assert!(unused.contains("of its 40 positions along the path are not used"), "{unused}");
+        assert!(!unused.contains("its clock"), "{unused}");
+    }
 }

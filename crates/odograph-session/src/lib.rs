@@ -71,6 +71,7 @@ mod reference;
 mod report;
 mod overlay_video;
 mod builder;
+mod pixel_shape;
 mod resuming;
 mod markers;
 mod marker_statistics;

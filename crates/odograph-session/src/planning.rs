@@ -5,7 +5,7 @@ use crate::markers::MarkerWatch;
 use crate::observer::Observer;
 use crate::plan::{FrameChoice, RunPlan, SourcePlan};
 use crate::rig::{other_size, parse_camera, read_rig, recorded_rig};
-use crate::{budget, files};
+use crate::{budget, files, pixel_shape};
 use odograph::camera::{Camera, LeverArm, Rig};
 use odograph::error::{Error, Result};
 use odograph::formats::rig_file;
@@ -79,6 +79,15 @@ impl RunBuilder {
         Ok((plan, source))
     }
 
+    /// Warns where the stated field of view does not make the pixels of frames of this size square.
+    pub(crate) fn question_pixels(&self, size: (usize, usize), observer: &dyn Observer) {
+        if let Some(CameraChoice::FieldOfView(width_m, height_m)) = self.camera
+            && let Some(doubt) = pixel_shape::doubt(size, (width_m, height_m))
+        {
+            observer.warn(&doubt);
+        }
+    }
+
     /// Fails if the camera is not calibrated for frames of this size, pixels.
     fn check_size(&self, camera: &Camera, size: (usize, usize)) -> Result<()> {
         if size.0.min(size.1) < LEAST_SIDE_PX {
@@ -135,6 +144,13 @@ fn is_missing(source: &str) -> bool {
     source != "-" && !source.contains("://") && !Path::new(source).exists()
 }
 
+fn no_camera() -> Error {
+    Error::usage(
+        "no camera is given; give --camera FILE, as odograph calibrate writes it, and --height LENGTH; or \
+         --field-of-view WIDTHxHEIGHT in metres as measured on the ground",
+    )
+}
+
 impl<'a> GivenCamera<'a> {
     fn by(builder: &'a RunBuilder) -> Result<Self> {
         let map = builder.output.map.path();
@@ -155,10 +171,12 @@ impl<'a> GivenCamera<'a> {
             (None, None) if is_missing(&builder.source.path) => {
                 Err(Error::input("there is no such file or folder").at(&builder.source.path))
             }
-            (None, None) => Err(Error::usage(
-                "no camera is given; give --camera FILE, as odograph calibrate writes it, and --height LENGTH; or \
-                 --field-of-view WIDTHxHEIGHT in metres as measured on the ground",
-            )),
+            // Nor is a file that is no recording.
+            (None, None) if Path::new(&builder.source.path).is_file() => {
+                builder.source.open()?;
+                Err(no_camera())
+            }
+            (None, None) => Err(no_camera()),
         }
     }
 

@@ -2,18 +2,24 @@
 
 use crate::plan::RunPlan;
 use crate::trajectory_input::read_trajectory;
-use odograph::error::Result;
+use odograph::error::{Error, Result};
 use odograph::evaluation::{Alignment, Evaluation, EvaluationOptions, evaluate};
 use odograph::formats::trajectory_file::Trajectory;
 use std::path::Path;
 
-/// The reference trajectory of the plan, if any. Fails where it cannot be read.
+/// The reference trajectory of the plan, if any. Fails where it cannot be read or has no times.
 pub fn read(plan: &RunPlan) -> Result<Option<Trajectory>> {
-    plan.reference.as_deref().map(trajectory_in).transpose()
-}
-
-fn trajectory_in(path: &Path) -> Result<Trajectory> {
-    read_trajectory(path, None, None).map(|read| read.trajectory)
+    let Some(path) = plan.reference.as_deref() else { return Ok(None) };
+    let read = read_trajectory(path, None, None)?;
+    if !read.timed {
+        // Its pose numbers would be compared with the times of the frames.
+        return Err(Error::input(format!(
+            "{} has no times (KITTI), by which a reference is compared with the frames; give it in TUM's format, a line \
+             `time x y z qx qy qz qw` per pose, with times of the recording",
+            path.display()
+        )));
+    }
+    Ok(Some(read.trajectory))
 }
 
 /// Comparison of a run with a reference trajectory.
@@ -30,7 +36,7 @@ pub struct ComparedReference {
 /// The trajectory of the run in `folder` and the reference, aligned by a similarity transform.
 /// Fails where they have no times in common.
 pub fn compared(path: &Path, reference: Trajectory, folder: &Path) -> Result<ComparedReference> {
-    let estimate = trajectory_in(&folder.join("trajectory.tum"))?;
+    let estimate = read_trajectory(&folder.join("trajectory.tum"), None, None)?.trajectory;
     let options = EvaluationOptions {
         max_time_difference_s: TOLERANCE_S,
         alignment: Alignment::Sim3,

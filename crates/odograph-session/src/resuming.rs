@@ -6,6 +6,8 @@ use crate::half_session::HalfSession;
 use crate::output::{MapUse, ResumedSession};
 use crate::unfinished::UnfinishedRun;
 use odograph::error::{Error, Result};
+use serde_json::Value;
+use std::fs;
 use std::path::Path;
 use std::sync::Arc;
 
@@ -27,7 +29,11 @@ impl RunBuilder {
                 true => {
                     let plan = folder.join("run.toml");
                     let repeat = format!("odograph run {} repeats it into another folder", plan.display());
-                    refused(&format!("has a run that is complete; {repeat}"))
+                    let state = match was_interrupted(folder) {
+                        true => "has a run that was interrupted, which cannot be continued",
+                        false => "has a run that is complete",
+                    };
+                    refused(&format!("{state}; {repeat}"))
                 }
                 false => refused("has no run that was begun; give the folder of a run that was killed"),
             });
@@ -61,4 +67,11 @@ impl RunBuilder {
         run.resumed = Some(Arc::new(plan));
         Ok(run)
     }
+}
+
+/// Whether the run that ended in a folder was ended early. A live run has no other end.
+fn was_interrupted(folder: &Path) -> bool {
+    let text = fs::read(folder.join("stats.json")).unwrap_or_default();
+    let statistics: Value = serde_json::from_slice(&text).unwrap_or_default();
+    statistics["interrupted"] == true && statistics["live"].is_null()
 }

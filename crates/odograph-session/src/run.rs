@@ -69,6 +69,7 @@ impl RunBuilder {
             self.plan_over(observer, |plan| {
                 let source = plan.open()?;
                 let size = (source.info().width, source.info().height);
+                self.question_pixels(size, observer);
                 Ok((source, size))
             })?
         };

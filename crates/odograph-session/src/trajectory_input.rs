@@ -17,6 +17,19 @@ pub struct LoadedTrajectory {
     pub timed: bool,
 }
 
+impl LoadedTrajectory {
+    /// Numbers the poses of both trajectories from 0 in place of their times, unless both have
+    /// times: pose numbers and seconds have no instant in common.
+    pub fn number_unless_timed(one: &mut Self, other: &mut Self) {
+        if one.timed && other.timed {
+            return;
+        }
+        for poses in [&mut one.trajectory.poses, &mut other.trajectory.poses] {
+            poses.iter_mut().enumerate().for_each(|(number, pose)| pose.time_s = number as f64);
+        }
+    }
+}
+
 /// Reads a trajectory in TUM's or KITTI's format; where `format` is `None` the number of columns
 /// decides. KITTI's files have no times: `times_s` gives them, seconds.
 ///

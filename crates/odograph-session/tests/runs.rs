@@ -112,6 +112,9 @@ fn a_run_that_is_asked_to_stop_has_written_what_there_is() {
     assert_eq!(outcome.end, RunEnd::Interrupted);
     assert_eq!(outcome.trajectory.len(), 10);
     assert!(folder.path().join("stats.json").exists());
+    // It has ended, and is not complete.
+    let refused = RunBuilder::resuming(folder.path()).unwrap_err().to_string();
+    assert!(refused.contains("was interrupted, which cannot be continued; odograph run"), "{refused}");
 }
 
 #[test]
@@ -233,6 +236,25 @@ fn errors_say_what_to_do_and_have_their_cause() {
     let source = SourcePlan::new("no such recording.mp4");
     let missing = RunBuilder::over(source).height_m(1.0).field_of_view_m(1.0, 0.75).run(&()).unwrap_err();
     assert!(missing.to_string().contains("no such recording.mp4"), "{missing}");
+}
+
+#[test]
+fn a_reference_without_times_is_refused_before_the_run() {
+    let folder = tempfile::tempdir().unwrap();
+    let path = folder.path().join("truth.kitti");
+    std::fs::write(&path, "1 0 0 0 0 1 0 0 0 0 1 0\n".repeat(5)).unwrap();
+    let error = clip::run(5).reference(&path).run(&()).unwrap_err();
+    assert_eq!(error.kind(), ErrorKind::Input);
+    let error = error.to_string();
+    assert!(error.contains("truth.kitti has no times") && error.contains("TUM's format"), "{error}");
+}
+
+#[test]
+fn a_field_of_view_with_its_sides_exchanged_is_questioned() {
+    let observer = Listening::default();
+    drop(RunBuilder::over(clip::source(5)).field_of_view_m(0.9, 1.2).open(&observer).unwrap());
+    let heard = observer.heard.into_inner().unwrap();
+    assert!(heard.len() == 1 && heard[0].contains("probably exchanged: 1.2x0.9"), "{heard:?}");
 }
 
 #[test]

@@ -92,7 +92,7 @@ const GOOD_FIT_PX: f64 = 1.0;
 /// error is the same in every view and does not average out.
 ///
 /// Fails if a view does not have the camera's image size, if none shows the board lying on the
-/// floor, or if no two of several views agree on a rig.
+/// floor, or if fewer than half of several views agree on a rig.
 pub fn rig_from_boards(
     camera: &Camera,
     uncertainty: Option<&CameraUncertainty>,

@@ -17,7 +17,8 @@ const SAME_RIG: (f64, f64) = (0.05, 3.0);
 
 /// Excludes the views outside the largest consistent set around one of them; then those that
 /// contradict the rest by their own standard deviations. Fails if no two of several views are
-/// consistent.
+/// consistent, or fewer than half of them are left: the few that agree by chance state a rig that
+/// the others contradict.
 pub fn leave_out(fits: &mut [Fitted]) -> Result<()> {
     let all: Vec<(usize, ViewPoseFit)> = used(fits);
     let near = |fit: &ViewPoseFit| -> Vec<usize> {
@@ -39,6 +40,14 @@ pub fn leave_out(fits: &mut [Fitted]) -> Result<()> {
         fits[*index] = Err(LeftOut { why, fit: Some(Box::new(fit.clone())) });
     }
     leave_out_one_by_one(fits);
+    let agreeing = used(fits).len();
+    if 2 * agreeing < all.len() {
+        return Err(Error::input(format!(
+            "only {agreeing} of the {} views of the board agree on a height and tilt of the camera; leave the camera fixed to its carrier \
+             and the board flat on the floor in all of them, and give no pictures that were taken for odograph calibrate",
+            all.len()
+        )));
+    }
     Ok(())
 }
 

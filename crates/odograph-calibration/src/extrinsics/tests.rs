@@ -245,6 +245,17 @@ fn what_cannot_be_measured_is_refused_in_one_sentence() {
     let other = GroundPose { roll_rad: 0.2, ..pose(&mut random) };
     let other = view(&camera(), &floor, &other, 0.1, &mut random);
     refuse(&floor, &[good[0].clone(), other], "contradict each other");
+    // A calibration: the camera is held differently in every picture but two.
+    let held = |(roll_rad, pitch_rad): (f64, f64), random: &mut Random| {
+        let place = pose(random);
+        let roll_rad = RIG.roll_rad + roll_rad;
+        let held = GroundPose { roll_rad, pitch_rad: RIG.pitch_rad + pitch_rad, ..place };
+        view(&camera(), &floor, &held, 0.1, random)
+    };
+    let tilts = [(0.08, 0.0), (-0.08, 0.0), (0.0, 0.08), (0.0, -0.08), (0.15, 0.0)];
+    let mut calibration = views(&floor, 2, 0.1, &mut random);
+    calibration.extend(tilts.map(|tilt| held(tilt, &mut random)));
+    refuse(&floor, &calibration, "only 2 of the 7 views of the board agree");
     let mut mirrored = good[0].clone();
     mirrored.points.iter_mut().for_each(|point| point.pixel.x = 1279.0 - point.pixel.x);
     refuse(&floor, &[mirrored, line], "mirrored");

@@ -121,6 +121,9 @@ fn a_camera_file_that_is_missing_or_of_another_size_is_a_finding() {
     let clip = Clip::new(&[]);
     clip.doctor_with(&[]).assert("camera file", "limits");
     clip.doctor_with(&["--field-of-view", "1.2x0.9"]).assert("camera file", "limits");
+    let exchanged = clip.doctor_with(&["--field-of-view", "0.9x1.2"]);
+    let finding = exchanged.assert("camera file", "spoils");
+    assert!(finding["measured"].as_str().unwrap().contains("1.2x0.9 makes them square"), "{finding}");
     let other = clip.path("other.yaml");
     let text = fs::read_to_string(clip.path("camera.yaml")).unwrap();
     fs::write(&other, text.replace("320", "640").replace("240", "480")).unwrap();

@@ -114,6 +114,27 @@ fn kitti_files_are_recognised_by_their_columns() {
 }
 
 #[test]
+fn a_file_without_times_is_compared_by_number_with_one_that_has_them() {
+    let (_keep, folder) = folder();
+    // The camera of `tum`, without its times.
+    let kitti = |i: i32| format!("0 -1 0 {} -1 0 0 0 0 0 -1 1\n", 0.1 * f64::from(i) * 1.02);
+    fs::write(folder.join("estimate.kitti"), (0..=100).map(kitti).collect::<String>()).unwrap();
+    fs::write(folder.join("short.kitti"), (0..50).map(kitti).collect::<String>()).unwrap();
+    let errors = |estimate: &str, truth: &str| -> Value {
+        let output = odograph(&[estimate, truth, "--json", "--align", "none"], &folder);
+        serde_json::from_slice(&output.stdout).unwrap_or_else(|_| panic!("{output:?}"))
+    };
+    for (estimate, truth) in [("estimate.kitti", "truth.tum"), ("truth.tum", "estimate.kitti")] {
+        let figures = errors(estimate, truth);
+        assert_eq!(figures["compared_poses"], 101);
+        let most_m = figures["absolute"]["translation_m"]["max"].as_f64().unwrap();
+        assert!((most_m - 0.2).abs() < 1e-6, "{most_m}");
+    }
+    let output = odograph(&["short.kitti", "truth.tum"], &folder);
+    assert_eq!(output.status.code(), Some(3), "{output:?}");
+}
+
+#[test]
 fn a_plot_is_written_and_not_overwritten() {
     let (_keep, folder) = folder();
     let draw = |extra: &[&str]| {
@@ -156,6 +177,7 @@ fn incomparable_trajectories_are_refused_in_one_sentence() {
         ("nan.tum", b"0 1 2 3 0 0 0 1\n1 1 nan 3 0 0 0 1\n"),
         ("back.tum", b"1 1 2 3 0 0 0 1\n0 1 2 3 0 0 0 1\n"),
         ("still.tum", b"0 1 2 3 0 0 0 1\n1 1 2 3 0 0 0 1\n"),
+        ("one.tum", b"1 1 2 3 0 0 0 1\n"),
         ("later.tum", later.as_bytes()),
     ] {
         fs::write(folder.join(name), content).unwrap();
@@ -170,6 +192,8 @@ fn incomparable_trajectories_are_refused_in_one_sentence() {
         (&["truth.tum", "nan.tum"], 3, "nan.tum: line 2: \"nan\""),
         (&["back.tum", "truth.tum"], 3, "back.tum: line 2: the time 0 s"),
         (&["later.tum", "truth.tum"], 3, "no pose of the estimate"),
+        (&["one.tum", "truth.tum"], 3, "only one pose of one.tum and truth.tum can be compared"),
+        (&["truth.tum", "one.tum", "--align", "origin"], 3, "alignment origin leaves it no error"),
         (&["still.tum", "truth.tum", "--align", "sim3"], 3, "do not determine a scale"),
         (&["estimate.tum", "truth.tum", "--delta", "0m"], 2, "not a stretch"),
         (&["estimate.tum", "truth.tum", "--delta", "3"], 2, "not a stretch"),
@@ -222,7 +246,7 @@ fn control_characters_of_a_file_name_are_escaped() {
 fn a_single_pose_has_a_path_of_zero() {
     let (_keep, folder) = folder();
     fs::write(folder.join("one.tum"), "1 0 0 1 0 0 0 1\n").unwrap();
-    let table = stdout(&odograph(&["one.tum", "one.tum"], &folder));
+    let table = stdout(&odograph(&["one.tum", "one.tum", "--align", "none"], &folder));
     assert!(table.contains("0.000 m estimated over the ground") && !table.contains("-0.000"), "{table}");
 }
 

@@ -4,6 +4,7 @@ use super::appearance::Appearance;
 use super::intervals::Intervals;
 use super::lens::{Codec, Coded, GivenLens};
 use super::tracking::Tracking;
+use crate::pixel_shape;
 use crate::rig::advice_for_other_size;
 use odograph::camera::{Camera, Rig};
 use odograph::fixed_pattern::FixedPattern;
@@ -111,7 +112,12 @@ impl Seen<'_> {
         let (width, height) = self.size;
         let (judgement, measured, advice) = match self.lens {
             GivenLens::Fits => (Judgement::Good, format!("calibrated for {width}x{height}"), None),
-            GivenLens::FieldOfView => (
+            GivenLens::FieldOfView(width_m, height_m)
+                if let Some(doubt) = pixel_shape::doubt(self.size, (width_m, height_m)) =>
+            {
+                (Judgement::Spoils, doubt, Some("give it as WIDTHxHEIGHT, width along the rows of the image"))
+            }
+            GivenLens::FieldOfView(..) => (
                 Judgement::Limits,
                 "a measured field of view; lens distortion and tilt are taken as zero".to_owned(),
                 Some("calibrate with a board: odograph calibrate"),
@@ -280,12 +286,11 @@ impl Seen<'_> {
                 most = (count, Some(*reason));
             }
         }
-        let why = most.1.map_or_else(String::new, |reason| format!(", mostly lost:{reason}"));
         found(
             "tracking",
             (percent, "%"),
             Judgement::of(percent, f64::MIN_POSITIVE, 10.0),
-            format!("{} of {frames} frames have no pose{why}", lost.len()),
+            losses_text(lost.len(), *frames, most),
             match most.1 {
                 Some(LossReason::Bare) => {
                     "lower the camera, sharpen the focus, light the ground from the side"
@@ -493,6 +498,14 @@ const LEAST_BLUR_PX: f64 = 3.0;
 const SHARPNESS_BY_BLUR: [(f64, f64); 5] =
     [(0.0, 1.0), (3.0, 0.905), (5.0, 0.772), (8.0, 0.643), (13.0, 0.555)];
 
+/// How many frames are lost; `most` is the most frequent reason and how many frames have it.
+fn losses_text(lost: usize, frames: usize, most: (usize, Option<LossReason>)) -> String {
+    let mostly = if most.0 < lost { "mostly " } else { "" };
+    let why = most.1.map_or_else(String::new, |reason| format!(", {mostly}lost:{reason}"));
+    let have = if lost == 1 { "has" } else { "have" };
+    format!("{lost} of {frames} frames {have} no pose{why}")
+}
+
 /// Length of a blur that leaves this sharpness, pixels.
 fn blur_px(sharpness: f64) -> f64 {
     let (longest_px, least) = SHARPNESS_BY_BLUR[SHARPNESS_BY_BLUR.len() - 1];
@@ -514,6 +527,15 @@ mod tests {
         assert_eq!(Judgement::of(0.9, 1.0, 2.0), Judgement::Good);
         assert_eq!(Judgement::of(1.0, 1.0, 2.0), Judgement::Limits);
         assert_eq!(Judgement::of(2.0, 1.0, 2.0), Judgement::Spoils);
+    }
+
+    #[test]
+    fn only_one_of_several_reasons_is_most_frequent() {
+        let text = |lost, count, reason| losses_text(lost, 300, (count, reason));
+        assert_eq!(text(0, 0, None), "0 of 300 frames have no pose");
+        assert_eq!(text(1, 1, Some(LossReason::Bare)), "1 of 300 frames has no pose, lost:bare");
+        assert_eq!(text(3, 3, Some(LossReason::Bare)), "3 of 300 frames have no pose, lost:bare");
+        assert_eq!(text(3, 2, Some(LossReason::Bare)), "3 of 300 frames have no pose, mostly lost:bare");
     }
 
     #[test]

@@ -13,12 +13,12 @@ use std::fs;
 use std::path::Path;
 
 /// Where the camera comes from.
-#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+#[derive(Debug, Clone, Copy, PartialEq)]
 pub enum GivenLens {
     /// A calibration of the size of the frames.
     Fits,
-    /// The measured field of view.
-    FieldOfView,
+    /// The measured field of view, width and height in metres.
+    FieldOfView(f64, f64),
     /// A calibration of another size, pixels.
     OtherSize(usize, usize),
     /// None.
@@ -53,8 +53,10 @@ pub fn with_some_camera(
     let given = match &calibrated {
         Some(camera) if (camera.width(), camera.height()) == size => GivenLens::Fits,
         Some(camera) => GivenLens::OtherSize(camera.width(), camera.height()),
-        None if matches!(builder.camera, Some(CameraChoice::FieldOfView(..))) => GivenLens::FieldOfView,
-        None => GivenLens::Missing,
+        None => match builder.camera {
+            Some(CameraChoice::FieldOfView(width_m, height_m)) => GivenLens::FieldOfView(width_m, height_m),
+            _ => GivenLens::Missing,
+        },
     };
     let rig = match &builder.mount {
         None => recorded_rig(path, topic, None, observer)?.map(MountChoice::Known),
@@ -64,7 +66,7 @@ pub fn with_some_camera(
     builder.mount = Some(rig.unwrap_or(MountChoice::Height(ASSUMED_HEIGHT_M)));
     match (given, calibrated) {
         (GivenLens::Fits, Some(camera)) => builder.camera = Some(CameraChoice::Known(Box::new(camera))),
-        (GivenLens::FieldOfView, _) => {}
+        (GivenLens::FieldOfView(..), _) => {}
         _ => {
             let (width, height) = (size.0 as f64, size.1 as f64);
             let field_m = (ASSUMED_FIELD, ASSUMED_FIELD * height / width);

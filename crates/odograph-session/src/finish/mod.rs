@@ -186,8 +186,11 @@ impl Finishing<'_> {
         self.warn(warning);
         let bends = self.tracked.lens.as_ref().map(FoundLens::sentence);
         self.warn(bends);
-        let reads = self.tracked.readout.as_ref().and_then(FoundReadout::sentence);
-        self.warn(reads);
+        // To find a place has no option for it, and needs no path that is free of it.
+        if !self.ending.output.localizes() {
+            let reads = self.tracked.readout.as_ref().and_then(FoundReadout::sentence);
+            self.warn(reads);
+        }
         let ImageDefects { interlaced, row_noise, column_noise, impulse_noise } = self.tracked.defects;
         let defects = [
             (interlaced, INTERLACED),

@@ -125,6 +125,7 @@ impl RunBuilder {
         let (mut plan, input) = self.plan_over(observer, |plan| {
             let input = open(plan, &watch)?;
             let size = (input.source.info().width, input.source.info().height);
+            self.question_pixels(size, observer);
             Ok((input, size))
         })?;
         plan.take_lens_of(self.output.map.path())?;

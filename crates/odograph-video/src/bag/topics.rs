@@ -1,5 +1,6 @@
 //! Which topic a run follows, and which one a sensor is.
 
+use super::cursor::Serialization;
 use super::messages::{Role, image};
 use super::recording::{MessageReader, Topic};
 use odograph::error::{Error, Result};
@@ -26,7 +27,13 @@ pub(super) fn with_frames(recording: &mut dyn MessageReader, name: Option<&str>)
             .iter()
             .filter(|topic| is_named(topic, name))
             .map(|topic| {
-                format!("; {} has {} messages of the type {}", topic.name, topic.count, topic.type_name)
+                format!(
+                    "; {} has {} messages of the type {}{}",
+                    topic.name,
+                    topic.count,
+                    topic.type_name,
+                    if is_unread_foxglove(topic) { UNREAD_FOXGLOVE } else { "" }
+                )
             })
             .collect();
         let refused = |rest: &str| {
@@ -42,7 +49,12 @@ pub(super) fn with_frames(recording: &mut dyn MessageReader, name: Option<&str>)
             "this is {} without messages: it is empty, or cut off before the first one",
             recording.format()
         ))),
-        [] => Err(Error::input(format!("there are no images in it, only {}", others(recording.topics())))),
+        [] => {
+            let is_unread = recording.topics().iter().any(is_unread_foxglove);
+            let hint = if is_unread { UNREAD_FOXGLOVE } else { "" };
+            let others = others(recording.topics());
+            Err(Error::input(format!("there are no images that can be read in it, only {others}{hint}")))
+        }
         [only] => Ok(only.clone()),
         _ => {
             let pictures = with_pictures(recording, &all)?;
@@ -65,6 +77,17 @@ pub(super) fn open_with_frames(path: &Path, name: Option<&str>) -> Result<(Box<d
     let mut recording = super::open(path)?.ok_or_else(not_one)?;
     let topic = with_frames(recording.as_mut(), name)?;
     Ok((recording, topic))
+}
+
+/// What is said of the images of Foxglove that cannot be read.
+const UNREAD_FOXGLOVE: &str = "; Foxglove's images are read in Protocol Buffers, and not in JSON, as odograph live --mcap writes \
+                               them: give the recording that they were made of";
+
+/// Whether a topic has images of Foxglove in JSON, of which only those in Protocol Buffers are read.
+fn is_unread_foxglove(topic: &Topic) -> bool {
+    let is_image = ["foxglove.CompressedImage", "foxglove.RawImage", "foxglove.CompressedVideo"]
+        .contains(&topic.type_name.as_str());
+    is_image && topic.serialization == Serialization::Other("json".to_owned())
 }
 
 /// Those of the topics whose images show light: a depth camera has others beside them.
@@ -158,4 +181,23 @@ pub(super) fn first_images(
     }
     recording.rewind()?;
     Ok(firsts)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn foxglove_images_in_json_are_not_read() {
+        let topic = |type_name: &str, serialization: &str| Topic {
+            name: "/camera".to_owned(),
+            type_name: type_name.to_owned(),
+            serialization: Serialization::named(serialization),
+            count: 5,
+            span_ns: (0, 1),
+        };
+        assert!(is_unread_foxglove(&topic("foxglove.CompressedImage", "json")));
+        assert!(!is_unread_foxglove(&topic("foxglove.CompressedImage", "protobuf")));
+        assert!(!is_unread_foxglove(&topic("foxglove.Log", "json")));
+    }
 }

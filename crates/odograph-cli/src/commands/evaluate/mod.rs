@@ -9,7 +9,7 @@ use odograph::error::{Error, Result};
 use odograph::evaluation::{Alignment, Delta, Evaluation, EvaluationOptions, evaluate as measure};
 use odograph::formats::trajectory_file::{TrajectoryFormat, parse_times};
 use odograph_report::evaluation_plot;
-use odograph_session::{read_trajectory, read_trajectory_text};
+use odograph_session::{LoadedTrajectory, read_trajectory, read_trajectory_text};
 use std::path::{Path, PathBuf};
 use std::str::FromStr;
 
@@ -138,8 +138,8 @@ pub fn evaluate(arguments: EvaluateArguments) -> Result<Outcome> {
         None => None,
     };
     let format = arguments.format.map(TrajectoryFormat::from);
-    let estimate = read_trajectory(&arguments.estimate, format, times_s.as_deref())?;
-    let truth = read_trajectory(&arguments.truth, format, times_s.as_deref())?;
+    let mut estimate = read_trajectory(&arguments.estimate, format, times_s.as_deref())?;
+    let mut truth = read_trajectory(&arguments.truth, format, times_s.as_deref())?;
     if times_s.is_some() {
         let has_times = |path: &Path| read_trajectory(path, format, None).map(|loaded| loaded.timed);
         if has_times(&arguments.estimate)? && has_times(&arguments.truth)? {
@@ -159,6 +159,7 @@ pub fn evaluate(arguments: EvaluateArguments) -> Result<Outcome> {
             truth.trajectory.poses.len()
         )));
     }
+    LoadedTrajectory::number_unless_timed(&mut estimate, &mut truth);
     let options = EvaluationOptions {
         max_time_difference_s: arguments.max_time_difference,
         alignment: arguments.align.into(),
@@ -167,6 +168,15 @@ pub fn evaluate(arguments: EvaluateArguments) -> Result<Outcome> {
         segment_lengths_m: arguments.segments.clone(),
     };
     let evaluation = measure(&estimate.trajectory, &truth.trajectory, &options)?;
+    if evaluation.pairs.len() == 1 && options.alignment != Alignment::None {
+        return Err(Error::input(format!(
+            "only one pose of {} and {} can be compared, and alignment {} leaves it no error; check that both use the \
+             same clock, allow a larger --max-time-difference, or give --align none if both are in the same world",
+            arguments.estimate.display(),
+            arguments.truth.display(),
+            options.alignment
+        )));
+    }
     let figures = [
         evaluation.absolute.translation.rmse,
         evaluation.absolute.rotation.rmse,

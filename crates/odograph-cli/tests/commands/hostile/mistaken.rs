@@ -6,7 +6,7 @@ use std::fs;
 use std::process::{Command, Stdio};
 
 /// Call, exit code, and what its message contains.
-const CALLS: [(&str, i32, &str); 37] = [
+const CALLS: [(&str, i32, &str); 38] = [
     (
         "ground ran --camera camera.yaml --height 1 -o r.toml",
         3,
@@ -98,6 +98,7 @@ const CALLS: [(&str, i32, &str); 37] = [
         3,
         "odograph cameras lists the cameras of this machine",
     ),
+    ("run letter -o out", 3, "letter: this is a text file, not a recording"),
     ("run drive.y4m -o out", 2, "no camera is given; give --camera FILE, as odograph calibrate writes it"),
     (
         "doctor drive.y4m --timestamps two.txt --camera camera.yaml --height 1",

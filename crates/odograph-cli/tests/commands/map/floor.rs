@@ -1,5 +1,6 @@
 //! The mosaic that a run stores in its map, and the comparison with a reference trajectory.
 
+use crate::program::{done, done_once};
 use odograph::geometry::Pixel;
 use odograph_map::MapFile;
 use std::fs;
@@ -236,4 +237,22 @@ fn ambiguous_places_are_listed_and_not_accepted() {
     let all: f64 = alike.iter().map(|place| place["probability"].as_f64().unwrap()).sum();
     assert!((all - 1.0).abs() < 1e-9, "{json}");
     assert!(fs::read(folder.path().join("out/map.gpkg")).unwrap() == map, "the map was changed");
+}
+
+#[test]
+fn a_place_comes_without_advice_of_options_that_are_not_there() {
+    let folder = tempfile::tempdir().unwrap();
+    let here = folder.path();
+    done_once(
+        here,
+        "simulate -o sim --path lanes --height 0.75 --fps 15 --size 320x240 --readout-ms 20 --duration 8 --quiet",
+    );
+    // A map of one second, in which the readout time cannot be learned.
+    let source = "sim/frames --timestamps sim/frames.txt";
+    done(
+        here,
+        &format!("run {source} --camera sim/camera.yaml --height 0.75 --max-frames 15 -o map --quiet"),
+    );
+    let message = done(here, &format!("localize {source} --map map/map.gpkg"));
+    assert!(!message.contains("--readout-ms"), "{message}");
 }

@@ -88,11 +88,22 @@ pub fn gyro(record: &SensorRecord, steps: &[MotionStep]) -> Result<Calibrated, R
     let best = candidates.into_iter().min_by(|a, b| a.0.density.total_cmp(&b.0.density));
     let (found, seconds) = best.ok_or(Reason::NoOverlap)?;
     let scale = found.parameters.fixed_rows::<3>(0).norm();
-    if found.density.sqrt() > WORST_TURN_RAD || !(0.85..1.15).contains(&scale) {
+    if found.density.sqrt() > WORST_TURN_RAD {
         return Err(contradiction(&seconds, WORST_TURN_RAD.powi(2)));
+    }
+    if !(0.85..1.15).contains(&scale) {
+        // A scale of nearly 0 is that of readings that have nothing to do with the turns.
+        return Err(match scale > LEAST_SCALE {
+            true => Reason::Scale { percent: (100.0 / scale).round() as u32 },
+            false => contradiction(&seconds, WORST_TURN_RAD.powi(2)),
+        });
     }
     believed(found)
 }
+
+/// Smallest scale of a gyroscope that turns as the camera does: its rates are a hundred times too
+/// large, and those in degrees 57 times.
+const LEAST_SCALE: f64 = 0.01;
 
 /// Calibrates a wheel against the camera's translations.
 pub fn wheel(record: &SensorRecord, steps: &[MotionStep]) -> Result<Calibrated, Reason> {

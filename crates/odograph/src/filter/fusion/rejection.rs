@@ -12,6 +12,11 @@ pub enum Reason {
     TooLittleTurning,
     /// The camera moved too little to determine the scale.
     TooLittleMovement,
+    /// The sensor agrees with the camera but for its scale.
+    Scale {
+        /// Its readings relative to what the camera saw, per cent.
+        percent: u32,
+    },
     /// The sensor contradicts the camera.
     Contradicts {
         /// Number of seconds with a contradiction.
@@ -20,6 +25,10 @@ pub enum Reason {
         of: usize,
     },
 }
+
+/// Factors by which rates in degrees look too large: 57.3, and what noise makes of it.
+const DEGREES_TIMES_LEAST: f64 = 45.0;
+const DEGREES_TIMES_MOST: f64 = 70.0;
 
 impl fmt::Display for Reason {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
@@ -30,6 +39,16 @@ impl fmt::Display for Reason {
             ),
             Self::TooLittleTurning => f.write_str("the camera turned too little to find how its axes are mounted"),
             Self::TooLittleMovement => f.write_str("the camera moved too little to find its scale"),
+            Self::Scale { percent } => {
+                let times = f64::from(*percent) / 100.0;
+                write!(f, "its rates are about {times:.2} times those that the camera saw; ")?;
+                f.write_str(match times {
+                    DEGREES_TIMES_LEAST..DEGREES_TIMES_MOST => {
+                        "they seem to be degrees per second: name their columns …_deg_s"
+                    }
+                    _ => "check the unit of its rates and its scale factor",
+                })
+            }
             Self::Contradicts { seconds, of } => {
                 write!(f, "it contradicts what the camera saw in {seconds} of {of} seconds")
             }

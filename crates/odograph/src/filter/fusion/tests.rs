@@ -208,6 +208,24 @@ fn faulty_sensors_are_rejected_and_the_others_accepted() {
 }
 
 #[test]
+fn a_gyroscope_of_another_scale_is_told_so() {
+    let eight = PathKind::FigureEight { length_m: 3.0, laps: 1.0 };
+    let simulation = drive(eight, 0.5, Effects::default(), Rig::level(0.75), 3);
+    let frames = followed(&simulation, (0.0, 0.0, 0.0));
+    let gyro = simulation.sensors().unwrap().records.gyro.unwrap();
+    for (factor, parts) in [
+        (2.0, ["times those that the camera saw", "check the unit"]),
+        (1f64.to_degrees(), ["its rates are about 5", "they seem to be degrees per second"]),
+    ] {
+        let (times_s, rates) = gyro.samples().map(|(time_s, values)| (time_s, factor * values[0])).unzip();
+        let scaled = SensorRecord::new(gyro.quantity(), times_s, vec![rates]).unwrap();
+        let fusion = fuse(&frames, &Sensors { gyro: Some(scaled), ..Sensors::default() });
+        let reason = report(&fusion, SensorKind::Gyro).rejected.unwrap().to_string();
+        assert!(parts.iter().all(|part| reason.contains(part)), "{factor}: {reason}");
+    }
+}
+
+#[test]
 fn without_sensors_and_without_gaps_nothing_changes() {
     let eight = PathKind::FigureEight { length_m: 3.0, laps: 1.0 };
     let simulation = drive(eight, 0.5, Effects::default(), Rig::level(0.75), 3);

@@ -1,12 +1,14 @@
 //! Trajectory files.
 //!
 //! * **TUM** (one line `time x y z qx qy qz qw` per pose): seconds, metres; translation and
-//!   rotation of `world_from_camera`.
+//!   rotation of `world_from_camera`. A comment before the first pose may name other columns, as in
+//!   EuRoC's ground truth, which has nanoseconds and `qw` first.
 //! * **KITTI** (one line per pose with the 12 numbers of the upper 3 × 4 part of
 //!   `world_from_camera`, row-major): without timestamps.
 //! * **CSV**: one line per frame with all its estimates, for people and spreadsheets; written only.
 
 mod frames_csv;
+mod named_columns;
 
 pub use crate::trajectory::{StampedPose, Trajectory};
 pub use frames_csv::{FRAMES_HEADER, SMOOTHED_HEADER, csv_from_frames, frame_line, smoothed_line};
@@ -14,6 +16,7 @@ pub use frames_csv::{FRAMES_HEADER, SMOOTHED_HEADER, csv_from_frames, frame_line
 use crate::error::{Error, Result};
 use crate::pose_frame::PoseFrame;
 use nalgebra::{Isometry3, Matrix3, Quaternion, Rotation3, Translation3, UnitQuaternion};
+use named_columns::NamedColumns;
 use std::fmt::Write;
 
 /// Format of a trajectory file.
@@ -25,11 +28,13 @@ pub enum TrajectoryFormat {
     Kitti,
 }
 
-/// Infers the format from the number of values on the first data line: 8 is TUM, 12 is KITTI. Fails
-/// for any other number and for a text without data.
+/// Infers the format: TUM where a comment names the columns of a pose, otherwise by the number of
+/// values on the first data line: 8 is TUM, 12 is KITTI. Fails for any other number and for a text
+/// without data.
 pub fn guess_format(text: &str) -> Result<TrajectoryFormat> {
     let Some((number, line)) = data_lines(text).next() else { return Err(no_pose()) };
     match words(line).count() {
+        _ if NamedColumns::of(text).is_some() => Ok(TrajectoryFormat::Tum),
         8 => Ok(TrajectoryFormat::Tum),
         12 => Ok(TrajectoryFormat::Kitti),
         count => Err(Error::input(format!(
@@ -41,13 +46,18 @@ pub fn guess_format(text: &str) -> Result<TrajectoryFormat> {
 /// Reads a TUM trajectory.
 ///
 /// Values are separated by white space, commas or both; empty lines and lines that start with `#`
-/// are skipped. Quaternions are normalised. Fails, naming the line, if a line does not have eight
+/// are skipped; where comments before the first pose name the columns of a pose, these are read, and
+/// others ignored. Quaternions are normalised. Fails, naming the line, if a line does not have eight
 /// finite numbers, a quaternion is zero, or a time is not later than the one before. Also fails if
 /// there is no pose.
 pub fn parse_tum(text: &str) -> Result<Trajectory> {
     let mut poses: Vec<StampedPose> = Vec::new();
+    let named = NamedColumns::of(text);
     for (number, line) in data_lines(text) {
-        let [time_s, x, y, z, qx, qy, qz, qw] = numbers(number, line, "time x y z qx qy qz qw")?;
+        let [time_s, x, y, z, qx, qy, qz, qw] = match &named {
+            Some(columns) => named_numbers(number, line, columns)?,
+            None => numbers(number, line, "time x y z qx qy qz qw")?,
+        };
         let quaternion = Quaternion::new(qw, qx, qy, qz);
         // Scaling first prevents underflow and overflow of the squares.
         let largest = quaternion.coords.amax();
@@ -191,15 +201,7 @@ fn numbers<const COUNT: usize>(number: usize, line: &str, expected: &str) -> Res
     let mut values = [0.0; COUNT];
     let mut count = 0;
     for word in words(line) {
-        let value = match word.parse::<f64>() {
-            Ok(value) if value.is_finite() => value,
-            _ => {
-                let word: String = word.chars().take(40).collect();
-                return Err(Error::input(format!(
-                    "line {number}: {word:?} stands where a finite number belongs ({expected})"
-                )));
-            }
-        };
+        let value = finite(number, word, expected)?;
         if let Some(slot) = values.get_mut(count) {
             *slot = value;
         }
@@ -209,6 +211,36 @@ fn numbers<const COUNT: usize>(number: usize, line: &str, expected: &str) -> Res
         return Ok(values);
     }
     Err(Error::input(format!("line {number} has {count} values, not {COUNT} ({expected})")))
+}
+
+/// Parses the pose of a line: its time in seconds, then as in TUM's format.
+fn named_numbers(number: usize, line: &str, columns: &NamedColumns) -> Result<[f64; 8]> {
+    let all: Vec<&str> = words(line).collect();
+    if all.len() != columns.count {
+        return Err(Error::input(format!(
+            "line {number} has {} values, the comment above the poses names {} columns",
+            all.len(),
+            columns.count
+        )));
+    }
+    let mut values = [0.0; 8];
+    for (value, &column) in values.iter_mut().zip(&columns.pose) {
+        *value = finite(number, all[column], "time, position and quaternion")?;
+    }
+    values[0] *= columns.time_unit_s;
+    Ok(values)
+}
+
+fn finite(number: usize, word: &str, expected: &str) -> Result<f64> {
+    match word.parse::<f64>() {
+        Ok(value) if value.is_finite() => Ok(value),
+        _ => {
+            let word: String = word.chars().take(40).collect();
+            Err(Error::input(format!(
+                "line {number}: {word:?} stands where a finite number belongs ({expected})"
+            )))
+        }
+    }
 }
 
 fn not_increasing(number: usize, time_s: f64, before_s: f64) -> Error {

@@ -71,6 +71,30 @@ fn tum_accepts_commas_tabs_comments_and_a_byte_order_mark() {
 }
 
 #[test]
+fn the_columns_that_a_comment_names_are_read() {
+    let euroc = "#timestamp, p_RS_R_x [m], p_RS_R_y [m], p_RS_R_z [m], q_RS_w [], q_RS_x [], q_RS_y [], \
+                 q_RS_z [], v_RS_R_x [m s^-1], v_RS_R_y [m s^-1], v_RS_R_z [m s^-1]\n\
+                 1403636580838555648,1,2,3,0.8,0.6,0,0,9,9,9\n";
+    let short = "#timestamp[ns], x,y,z, qw,qx,qy,qz\n1403636580838555648,1,2,3,0.8,0.6,0,0\n";
+    for text in [euroc, short] {
+        assert_eq!(guess_format(text).unwrap(), TrajectoryFormat::Tum);
+        let pose = &parse_tum(text).unwrap().poses[0];
+        assert!((pose.time_s - 1_403_636_580.838_555_6).abs() < 1e-6, "{}", pose.time_s);
+        assert_eq!(pose.world_from_camera.translation.vector, Vector3::new(1.0, 2.0, 3.0));
+        let q = pose.world_from_camera.rotation.coords;
+        assert!((q.w - 0.8).abs() < 1e-12 && (q.x - 0.6).abs() < 1e-12, "{q}");
+    }
+    // Without a unit times are seconds.
+    let pose = &parse_tum("# timestamp tx ty tz qw qx qy qz\n1.5 1 2 3 0.8 0.6 0 0\n").unwrap().poses[0];
+    assert!(pose.time_s == 1.5 && (pose.world_from_camera.rotation.w - 0.8).abs() < 1e-12);
+    // TUM's own comment changes nothing.
+    let pose = &parse_tum("# timestamp tx ty tz qx qy qz qw\n1.5 1 2 3 0.6 0 0 0.8\n").unwrap().poses[0];
+    assert!(pose.time_s == 1.5 && (pose.world_from_camera.rotation.w - 0.8).abs() < 1e-12);
+    let error = parse_tum("#timestamp[ns],x,y,z,qw,qx,qy,qz\n1,1,2,3,1,0,0\n").unwrap_err().to_string();
+    assert!(error.contains("line 2 has 7 values") && error.contains("names 8 columns"), "{error}");
+}
+
+#[test]
 fn errors_name_the_line() {
     for (text, part) in [
         ("", "no pose"),
