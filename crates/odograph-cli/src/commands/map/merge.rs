@@ -4,19 +4,20 @@ use super::{info::pieces, mosaic};
 use crate::{Outcome, console, files, interrupt};
 use odograph::error::{Error, Result};
 use odograph::ground_map::KeyframeStore;
-use odograph::ground_map::{KeyframeImage, KeyframeImages, MapKeyframe};
+use odograph::ground_map::{GroundMap, KeyframeImage, KeyframeImages, MapKeyframe};
 use odograph::keyframe::{KeyframeId, MapEdge};
 use odograph::landmark::{MarkerSighting, PlacedSighting};
 use odograph::loop_closure::LoopClosureConfig;
 use odograph::odometry::OdometryConfig;
 use odograph::slam::{self, Mapper};
-use odograph_map::{KeyframeMove, MapClaim, MapFile, MapMarker, corrected_path};
+use odograph_map::{KeyframeMove, MapClaim, MapFile, MapMarker, Session, corrected_path};
 use std::fs;
 use std::path::{Path, PathBuf};
 
 /// Join maps of one camera with common ground.
 ///
-/// The first one's frame is kept; the others are recognised in it.
+/// The first one's frame is kept; the others are recognised in it. Sessions that are in it already
+/// are left out.
 #[derive(Debug, clap::Args)]
 #[command(after_help = EXAMPLES)]
 pub struct MergeArguments {
@@ -141,9 +142,28 @@ fn join(mut file: MapFile, path: &Path, arguments: &MergeArguments) -> Result<(M
             arguments.maps[0].display()
         )));
     }
-    // Its sessions get the next free numbers.
+    let there = sessions_there(&mut file, &map, &mut other, &added)?;
+    let all = other.sessions()?;
+    if !there.is_empty() && there.len() == all.len() {
+        return Err(Error::input(format!(
+            "every session of {} is in {} already; there is nothing to join",
+            path.display(),
+            before_it(arguments)
+        )));
+    }
+    if !there.is_empty() && !arguments.quiet {
+        let sources: Vec<String> = there.iter().map(|session| console::source(&session.source)).collect();
+        console::note(&format!(
+            "{} of {} is in {} already, and is left out",
+            sources.join(", "),
+            console::name(path),
+            before_it(arguments)
+        ));
+    }
+    added.keyframes.retain(|keyframe| there.iter().all(|session| session.id != keyframe.session));
+    // The others get the next free numbers.
     let mut sessions = Vec::new();
-    for session in other.sessions()? {
+    for session in all.into_iter().filter(|session| !there.contains(session)) {
         sessions.push((session.id, file.begin_session(&session.source)?));
     }
     for keyframe in &mut added.keyframes {
@@ -151,8 +171,7 @@ fn join(mut file: MapFile, path: &Path, arguments: &MergeArguments) -> Result<(M
         keyframe.session = new.map_or(keyframe.session, |(_, new)| *new);
     }
     for (old, mask) in std::mem::take(&mut added.masks) {
-        let new = sessions.iter().find(|(session, _)| *session == old);
-        let new = new.map_or(old, |(_, new)| *new);
+        let Some((_, new)) = sessions.iter().find(|(session, _)| *session == old).copied() else { continue };
         file.set_mask(new, Some(&mask))?;
         added.masks.insert(new, mask);
     }
@@ -171,11 +190,11 @@ fn join(mut file: MapFile, path: &Path, arguments: &MergeArguments) -> Result<(M
     mapper.remember_sightings(here);
     let merged = slam::merge(&mut mapper, &mut store, &added, &mut other, &common)?;
     if merged.loops + merged.markers == 0 {
-        let earlier = if arguments.maps.len() > 2 { "the maps before it" } else { "the other" };
         return Err(Error::input(format!(
-            "no ground of {} was recognised in {earlier}, so their relative position is not known; a \
+            "no ground of {} was recognised in {}, so their relative position is not known; a \
              drive over ground of both, with run --map, connects them",
-            path.display()
+            path.display(),
+            before_it(arguments)
         )));
     }
     let mut file = store.file;
@@ -200,6 +219,75 @@ fn join(mut file: MapFile, path: &Path, arguments: &MergeArguments) -> Result<(M
         file.set_path(new, &corrected_path(&other.path_of(old)?, &moves))?;
     }
     Ok((file, Added { merged, mosaic_m }))
+}
+
+/// What a map is joined to, in a sentence.
+fn before_it(arguments: &MergeArguments) -> String {
+    match arguments.maps.as_slice() {
+        [first, _] => console::name(first),
+        _ => "the maps before it".to_owned(),
+    }
+}
+
+/// The sessions of the other map that the map has already: of the same source and robot, with all
+/// of their keyframes.
+fn sessions_there(
+    file: &mut MapFile,
+    map: &GroundMap,
+    other: &mut MapFile,
+    added: &GroundMap,
+) -> Result<Vec<Session>> {
+    let here = file.sessions()?;
+    let mut there = Vec::new();
+    for session in other.sessions()? {
+        let own: Vec<&MapKeyframe> = of_session(added, session.id).collect();
+        let is_same = |known: &&Session| known.source == session.source && known.origin == session.origin;
+        for known in here.iter().filter(is_same) {
+            if !own.is_empty() && has_all(file, map, known.id, other, &own)? {
+                there.push(session);
+                break;
+            }
+        }
+    }
+    Ok(there)
+}
+
+fn of_session(map: &GroundMap, session: u32) -> impl Iterator<Item = &MapKeyframe> {
+    map.keyframes.iter().filter(move |keyframe| keyframe.session == session)
+}
+
+/// Heights within this fraction are of the same run: optimisation moves them by less, and less than
+/// this does not bend a map.
+const SAME_HEIGHT: f64 = 0.005;
+
+/// Whether a session of the map has all these keyframes of the other one. A recording that is run
+/// again has frames of the same numbers and times: the heights, which differ where it was given
+/// another, and the first and the last image are compared, too.
+fn has_all(
+    file: &mut MapFile,
+    map: &GroundMap,
+    session: u32,
+    other: &mut MapFile,
+    own: &[&MapKeyframe],
+) -> Result<bool> {
+    let equal = |one: &MapKeyframe| {
+        of_session(map, session).find(|known| {
+            // What was joined before has the pose in its own map as that of its odometry.
+            let height_m = known.odometry_pose.height_m;
+            known.frame == one.frame
+                && known.time_s.to_bits() == one.time_s.to_bits()
+                && [one.odometry_pose.height_m, one.pose.height_m]
+                    .iter()
+                    .any(|own_m| (own_m / height_m - 1.0).abs() < SAME_HEIGHT)
+        })
+    };
+    let Some(known) = own.iter().map(|one| equal(one)).collect::<Option<Vec<_>>>() else { return Ok(false) };
+    for at in [0, own.len() - 1] {
+        if file.load(known[at].id)? != other.load(own[at].id)? {
+            return Ok(false);
+        }
+    }
+    Ok(true)
 }
 
 /// The markers of both maps, numbered through: those of two families or sizes are never the same.

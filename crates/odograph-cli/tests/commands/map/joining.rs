@@ -158,6 +158,38 @@ fn overlapping_maps_are_merged() {
 }
 
 #[test]
+fn sessions_that_are_there_already_are_left_out() {
+    let folder = tempfile::tempdir().unwrap();
+    let at = |name: &str| folder.path().join(name);
+    drive(&at("a.gpkg"), &way((0.0, 0.0), 0.0, 9));
+    drive(&at("b.gpkg"), &way((2.3, 0.4), -2.7, 9));
+    fs::copy(at("a.gpkg"), at("copy.gpkg")).unwrap();
+    let merge = |maps: [&str; 2], output: &str| {
+        text(&odograph(&["merge", maps[0], maps[1], "-o", output], folder.path()))
+    };
+    assert_eq!(merge(["a.gpkg", "b.gpkg"], "c.gpkg").0, 0);
+    // A copy, and maps that the first one contains.
+    for maps in [["a.gpkg", "copy.gpkg"], ["c.gpkg", "a.gpkg"], ["c.gpkg", "b.gpkg"]] {
+        let (code, message, complaint) = merge(maps, "d.gpkg");
+        assert_eq!((code, message.as_str()), (3, ""), "{complaint}");
+        let sentence = format!("every session of {} is in {} already", maps[1], maps[0]);
+        assert!(complaint.contains(&sentence) && complaint.lines().count() == 1, "{complaint}");
+        assert!(!at("d.gpkg").exists());
+    }
+    // A map that contains the first one: only what is new is joined.
+    let (code, message, told) = merge(["b.gpkg", "c.gpkg"], "d.gpkg");
+    assert_eq!(code, 0, "{told}");
+    assert!(message.starts_with("c.gpkg: 9 keyframes, "), "{message}");
+    assert!(told.contains("note: b.gpkg of c.gpkg is in b.gpkg already, and is left out"), "{told}");
+    let joined = MapFile::open_read_only(&at("d.gpkg")).unwrap();
+    let sources: Vec<_> = joined.sessions().unwrap().into_iter().map(|session| session.source).collect();
+    assert_eq!(
+        (sources, joined.map().unwrap().keyframes.len()),
+        (vec!["b.gpkg".into(), "a.gpkg".into()], 18)
+    );
+}
+
+#[test]
 fn optimisation_straightens_a_bent_map_with_its_trajectory() {
     let folder = tempfile::tempdir().unwrap();
     let path = folder.path().join("map.gpkg");
