@@ -277,15 +277,11 @@ impl Mapping {
     /// A warning where the run was recognised, but with metres that are not those of the map.
     pub fn scale_warning(&self) -> Option<String> {
         let scale = self.mapper.scale_in_map().filter(SessionScale::is_doubtful)?;
-        let in_map_m = self.height_m * scale.ratio;
-        // Three digits: a microscope is millimetres high.
-        let decimals = (2.0 - in_map_m.log10().floor()).clamp(2.0, 9.0) as usize;
         self.mapper.is_recognised().then(|| {
+            let camera = other_height("the camera", &scale, self.height_m);
+            let path = self.file.path.display();
             format!(
-                "by the ground that was recognised in {} the camera was {in_map_m:.decimals$} m above it, not \
-                 {:.decimals$} m: check height and focal length, here and of the map",
-                self.file.path.display(),
-                self.height_m
+                "by the ground that was recognised in {path} {camera}: check height and focal length, here and of the map"
             )
         })
     }
@@ -476,4 +472,13 @@ impl CorrectedFrames {
             self.moves.push((before.time_s, a.pose, b.pose));
         }
     }
+}
+
+/// Says at which height a camera was by the metres of a map, and not at that by which it was
+/// tracked, metres.
+pub fn other_height(camera: &str, scale: &SessionScale, height_m: f64) -> String {
+    let in_map_m = height_m * scale.ratio;
+    // Three digits: a microscope is millimetres high.
+    let decimals = (2.0 - in_map_m.log10().floor()).clamp(2.0, 9.0) as usize;
+    format!("{camera} was {in_map_m:.decimals$} m above it, not {height_m:.decimals$} m")
 }

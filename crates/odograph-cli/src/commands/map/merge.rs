@@ -7,10 +7,14 @@ use odograph::ground_map::KeyframeStore;
 use odograph::ground_map::{GroundMap, KeyframeImage, KeyframeImages, MapKeyframe};
 use odograph::keyframe::{KeyframeId, MapEdge};
 use odograph::landmark::{MarkerSighting, PlacedSighting};
+use odograph::loop_closure::LoopClosure;
 use odograph::loop_closure::LoopClosureConfig;
+use odograph::numerics::median;
 use odograph::odometry::OdometryConfig;
-use odograph::slam::{self, Mapper};
+use odograph::place_recognition::{PlaceIndex, PlacesConfig};
+use odograph::slam::{self, Mapper, SessionScale};
 use odograph_map::{KeyframeMove, MapClaim, MapFile, MapMarker, Session, corrected_path};
+use odograph_session::other_height;
 use std::fs;
 use std::path::{Path, PathBuf};
 
@@ -95,6 +99,9 @@ fn joined(first: &Path, others: &[PathBuf], path: &Path, arguments: &MergeArgume
     for other in others {
         let (back, added) = join(file, other, arguments)?;
         file = back;
+        if let Some(warning) = added.warning.as_ref().filter(|_| !arguments.quiet) {
+            console::warn(warning);
+        }
         summary += &format!(
             "{}: {} keyframes, seen again in {} places{}\n",
             console::name(other),
@@ -127,6 +134,8 @@ struct Added {
     merged: slam::Merged,
     /// Side of a ground pixel of its mosaic, if it has one.
     mosaic_m: Option<f64>,
+    /// A warning that its metres are not those of the others.
+    warning: Option<String>,
 }
 
 /// Joins one more map.
@@ -176,6 +185,8 @@ fn join(mut file: MapFile, path: &Path, arguments: &MergeArguments) -> Result<(M
         added.masks.insert(new, mask);
     }
     let before = added.keyframes.clone();
+    let height_m = other.rig().height_m;
+    let places = KnownPlaces::new(&map);
     let mut odometry = OdometryConfig::default();
     odometry.motion.model = arguments.motion.into();
     let beginning = file.next_keyframe()?;
@@ -197,6 +208,14 @@ fn join(mut file: MapFile, path: &Path, arguments: &MergeArguments) -> Result<(M
             before_it(arguments)
         )));
     }
+    let scale = places.scale_of(&before, beginning, mapper.closures());
+    let warning = scale.filter(SessionScale::is_doubtful).map(|scale| {
+        let camera = other_height(&format!("the camera of {}", console::name(path)), &scale, height_m);
+        format!(
+            "by the ground that was recognised in {} {camera}: check height and focal length of both maps",
+            before_it(arguments)
+        )
+    });
     let mut file = store.file;
     let keyframes = &mapper.map().keyframes;
     let poses: Vec<_> = keyframes.iter().map(|k| (k.id, k.pose, k.covariance)).collect();
@@ -218,7 +237,7 @@ fn join(mut file: MapFile, path: &Path, arguments: &MergeArguments) -> Result<(M
             .collect();
         file.set_path(new, &corrected_path(&other.path_of(old)?, &moves))?;
     }
-    Ok((file, Added { merged, mosaic_m }))
+    Ok((file, Added { merged, mosaic_m, warning }))
 }
 
 /// What a map is joined to, in a sentence.
@@ -288,6 +307,54 @@ fn has_all(
         }
     }
     Ok(true)
+}
+
+/// What the ground of a map is recognised by, before another one is joined to it.
+struct KnownPlaces {
+    index: PlaceIndex,
+}
+
+/// Least standard deviation of the logarithm of the scale at one place, as for a run that continues
+/// a map: what its matched features do not show.
+const PLACE_DEVIATION: f64 = 0.002;
+
+/// Standard deviation of the median over that of the mean, and standard deviation over the median
+/// absolute deviation, both for the normal distribution.
+const MEDIAN_OVER_MEAN: f64 = 1.2533;
+const DEVIATION_OF_MEDIAN: f64 = 1.4826;
+
+impl KnownPlaces {
+    fn new(map: &GroundMap) -> Self {
+        let mut index = PlaceIndex::new(&PlacesConfig::new(&map.camera, map.rig.first_pose().height_m));
+        map.keyframes.iter().for_each(|keyframe| index.insert(keyframe.id, &keyframe.signature));
+        Self { index }
+    }
+
+    /// Metres of the map over metres of another one, by those of the other one's keyframes that
+    /// closed loops; `None` if no place shows a scale. The signatures are by the metres of the
+    /// other map, and the loops are by those of this one.
+    fn scale_of(
+        &self,
+        added: &[MapKeyframe],
+        beginning: KeyframeId,
+        closures: &[LoopClosure],
+    ) -> Option<SessionScale> {
+        let is_closed = |keyframe: &&MapKeyframe| {
+            closures.iter().any(|closure| closure.edge.from.0 == beginning.0 + keyframe.id.0)
+        };
+        let places = added.iter().filter(is_closed).filter_map(|keyframe| {
+            let place = self.index.query(&keyframe.signature, 1).into_iter().find(|place| place.is_sure())?;
+            place.ln_scale_deviation.is_finite().then_some((place.motion.w, place.ln_scale_deviation))
+        });
+        let (mut ln_ratios, mut deviations): (Vec<f64>, Vec<f64>) = places.unzip();
+        let middle = median(&mut ln_ratios)?;
+        let mut off: Vec<f64> = ln_ratios.iter().map(|ln_ratio| (ln_ratio - middle).abs()).collect();
+        let spread = DEVIATION_OF_MEDIAN * median(&mut off)?;
+        let usual = median(&mut deviations)?.max(PLACE_DEVIATION);
+        let count = ln_ratios.len();
+        let deviation = middle.exp() * MEDIAN_OVER_MEAN * spread.max(usual) / (count as f64).sqrt();
+        Some(SessionScale { ratio: middle.exp(), deviation, places: count })
+    }
 }
 
 /// The markers of both maps, numbered through: those of two families or sizes are never the same.
