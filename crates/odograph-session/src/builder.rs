@@ -103,7 +103,7 @@ impl RunBuilder {
     }
 
     /// A run that localizes an image or a recording in a map. Camera and mount are those of the
-    /// map, which is not changed.
+    /// newest session of the map with frames of that size; the map is not changed.
     pub fn localizing(source: SourcePlan, map: impl Into<PathBuf>) -> Self {
         let output = RunOutput { map: MapUse::LookInto(map.into()), least_frames: 1, ..RunOutput::default() };
         Self { camera: Some(CameraChoice::OfMap), output, ..Self::over(source) }

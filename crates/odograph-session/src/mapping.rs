@@ -16,7 +16,7 @@ use odograph::error::{Error, Result};
 use odograph::fixed_pattern::ImageMask;
 use odograph::geometry::{GroundPoint, GroundPose, Sim2};
 use odograph::georeference::{Anchor, Georeference};
-use odograph::ground_map::{KeyframeImage, KeyframeImages, MemoryImages};
+use odograph::ground_map::{KeyframeImage, KeyframeImages, MapKeyframe, MemoryImages};
 use odograph::keyframe::{EdgeKind, KeyframeId};
 use odograph::mosaic::Mosaic;
 use odograph::numerics::median;
@@ -57,8 +57,8 @@ const COARSER: f64 = 2.0;
 const MAX_OLD: usize = 4;
 
 impl Mapping {
-    /// Opens the map to be continued, or creates a new one. Fails where the file is not a map of
-    /// this camera.
+    /// Opens the map to be continued, or creates a new one. Fails where the file is not a map with
+    /// a session of this camera.
     pub fn new(plan: &RunPlan, folder: &OutputFolder, output: &RunOutput) -> Result<Self> {
         let map = &output.map;
         let path = map.path().map_or_else(|| folder.path().join("map.gpkg"), Path::to_owned);
@@ -95,14 +95,14 @@ impl Mapping {
                 None => MapFile::open_read_only(&file.path)?,
                 Some(claim) => MapFile::open_claimed(claim.clone())?,
             };
-            if *there.camera() != global {
+            if !there.mounted_cameras()?.iter().any(|mounted| mounted.camera == global) {
                 return Err(Error::input(format!(
                     "{} was made with another camera than this run's; give the camera file that it was made with, or \
                      begin a new map",
                     file.path.display()
                 )));
             }
-            let old = there.map()?;
+            let mut old = there.map()?;
             let first = there.next_keyframe()?;
             let seen = markers.as_ref().map_or(Ok(Vec::new()), |markers| markers.seen_before(&there))?;
             file.session = if map.is_read_only() {
@@ -111,6 +111,9 @@ impl Mapping {
                 file.begin_session(&mut there)?
             };
             file.file = Some(there);
+            if global != old.camera {
+                old.other_cameras.insert(file.session, file.mounted());
+            }
             let mut mapper = Mapper::continuing(old, &plan.odometry, plan.slam, file.session, first);
             mapper.remember_sightings(seen);
             mapper
@@ -171,7 +174,9 @@ impl Mapping {
 
     /// What of the images was not ground when the map was last continued with this camera.
     pub fn expected_mask(&self) -> Option<&Arc<ImageMask>> {
-        self.mapper.map().newest_mask()
+        let map = self.mapper.map();
+        let has_it = |keyframe: &&MapKeyframe| *map.camera_of(keyframe.session) == self.file.camera;
+        map.masks.get(&map.keyframes.iter().rev().find(has_it)?.session)
     }
 
     /// Path of the map file.
