@@ -132,8 +132,8 @@ impl RunBuilder {
     }
 
     /// Height of the camera above the ground, metres. The rest of its mount is taken from the
-    /// static transforms of a robot recording; otherwise it looks straight down, and a tilt is
-    /// estimated from the recording.
+    /// static transforms of a robot recording, or from the map that is continued; otherwise it
+    /// looks straight down, and a tilt is estimated from the recording.
     #[must_use]
     pub fn height_m(mut self, height_m: f64) -> Self {
         self.mount = Some(MountChoice::Height(height_m));

@@ -8,6 +8,7 @@ use crate::rig::{other_size, parse_camera, read_rig, recorded_rig};
 use crate::{budget, files};
 use odograph::camera::{Camera, LeverArm, Rig};
 use odograph::error::{Error, Result};
+use odograph::formats::decimal::Rounded;
 use odograph::formats::rig_file;
 use odograph::ground_map::MountedCamera;
 use odograph::loop_closure::LoopClosureConfig;
@@ -224,8 +225,17 @@ impl<'a> GivenCamera<'a> {
             (Some(MountChoice::Height(height_m)), _) => {
                 let level = Rig::level(*height_m).validated()?;
                 let SourcePlan { path, topic, .. } = &builder.source;
-                let recorded = recorded_rig(path, topic.as_deref(), Some(*height_m), observer)?;
-                Ok(recorded.unwrap_or(level))
+                if let Some(recorded) = recorded_rig(path, topic.as_deref(), Some(*height_m), observer)? {
+                    return Ok(recorded);
+                }
+                match self.rig_in_map(builder)? {
+                    // The height alone says nothing of the rest of the mount.
+                    Some(there) if (Rig { height_m: *height_m, ..there }) != level => {
+                        note_kept_mount(&there, observer);
+                        Rig { height_m: *height_m, ..there }.validated()
+                    }
+                    _ => Ok(level),
+                }
             }
             // The field of view already gives the scale. The height is that of a lens of 53°: from
             // a fixed height a field of 120 m would be seen by a lens that cannot be tracked.
@@ -269,4 +279,18 @@ impl<'a> GivenCamera<'a> {
 fn has_same_lens(one: &Camera, other: &Camera) -> bool {
     let key = |camera: &Camera| (camera.width(), camera.height(), camera.focal_px().0);
     key(one) == key(other)
+}
+
+/// Tells that what a height alone does not say of a mount is as in the map.
+fn note_kept_mount(rig: &Rig, observer: &dyn Observer) {
+    let arm = rig.lever_arm.map_or_else(String::new, |LeverArm { x_m, y_m, z_m }| {
+        let [x_m, y_m, z_m] = [x_m, y_m, z_m].map(Rounded);
+        format!("x {x_m:.3} m, y {y_m:.3} m, z {z_m:.3} m, ")
+    });
+    let [roll, pitch, yaw] =
+        [rig.roll_rad, rig.pitch_rad, rig.yaw_rad].map(|angle_rad| Rounded(angle_rad.to_degrees()));
+    observer.note(&format!(
+        "the height is the given one, the rest of the mount that of the map: {arm}roll {roll:.1}°, pitch {pitch:.1}°, \
+         yaw {yaw:.1}° (--rig overrides)"
+    ));
 }
