@@ -258,6 +258,19 @@ impl MapFile {
         self.new_session(source, None, &|_, _| Ok(()))
     }
 
+    /// Starts a session of a camera that need not be that of the first session.
+    pub fn begin_session_with(&mut self, source: &str, mounted: &MountedCamera) -> Result<u32> {
+        self.new_session(source, Some(mounted), &|_, _| Ok(()))
+    }
+
+    /// The cameras of the sessions with their mounts, the newest session's first.
+    pub fn mounted_cameras(&self) -> Result<Vec<MountedCamera>> {
+        let first = || MountedCamera { camera: self.camera.clone(), rig: self.rig };
+        let of = |session: Session| self.other_cameras.get(&session.id).cloned().unwrap_or_else(first);
+        let cameras: Vec<_> = self.sessions()?.into_iter().rev().map(of).collect();
+        Ok(if cameras.is_empty() { vec![first()] } else { cameras })
+    }
+
     /// Starts a session of a robot. Its keyframes are numbered from 0 in the order in which they
     /// are added. Fails if the origin is invalid, or if the session cannot be written.
     pub fn begin_session_by(

@@ -103,7 +103,7 @@ impl RunBuilder {
     }
 
     /// A run that localizes an image or a recording in a map. Camera and mount are those of the
-    /// map, which is not changed.
+    /// newest session of the map with frames of that size; the map is not changed.
     pub fn localizing(source: SourcePlan, map: impl Into<PathBuf>) -> Self {
         let output = RunOutput { map: MapUse::LookInto(map.into()), least_frames: 1, ..RunOutput::default() };
         Self { camera: Some(CameraChoice::OfMap), output, ..Self::over(source) }
@@ -132,8 +132,8 @@ impl RunBuilder {
     }
 
     /// Height of the camera above the ground, metres. The rest of its mount is taken from the
-    /// static transforms of a robot recording; otherwise it looks straight down, and a tilt is
-    /// estimated from the recording.
+    /// static transforms of a robot recording, or from the map that is continued; otherwise it
+    /// looks straight down, and a tilt is estimated from the recording.
     #[must_use]
     pub fn height_m(mut self, height_m: f64) -> Self {
         self.mount = Some(MountChoice::Height(height_m));

@@ -49,13 +49,17 @@ impl GrowingMapFile {
         }
     }
 
+    /// The camera of the run and its mount.
+    pub fn mounted(&self) -> MountedCamera {
+        MountedCamera { camera: self.camera.clone(), rig: self.rig }
+    }
+
     pub fn begin_session(&self, file: &mut MapFile) -> Result<u32> {
+        let mounted = self.mounted();
         match &self.origin {
             // What a robot sends from here is with its own mount.
-            Some(origin) => {
-                let mounted = MountedCamera { camera: self.camera.clone(), rig: self.rig };
-                file.begin_session_by(origin, &self.source, Some(&mounted))
-            }
+            Some(origin) => file.begin_session_by(origin, &self.source, Some(&mounted)),
+            None if mounted.camera != *file.camera() => file.begin_session_with(&self.source, &mounted),
             None => file.begin_session(&self.source),
         }
     }

@@ -108,6 +108,7 @@ pub use doctor::{Diagnosis, Finding, Judgement};
 pub use earth_statistics::{EarthStatistics, GnssOutlier, GnssStatistics};
 pub use folder::RUN_FILES;
 pub use found::{FixedInImage, FoundCoefficient, FoundLens, FoundMount, FoundReadout};
+pub use mapping::other_height;
 pub use marker_statistics::{LandmarkStatistics, MarkerStatistics};
 pub use observer::Observer;
 pub use other_scale::OtherScale;

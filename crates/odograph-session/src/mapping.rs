@@ -16,7 +16,7 @@ use odograph::error::{Error, Result};
 use odograph::fixed_pattern::ImageMask;
 use odograph::geometry::{GroundPoint, GroundPose, Sim2};
 use odograph::georeference::{Anchor, Georeference};
-use odograph::ground_map::{KeyframeImage, KeyframeImages, MemoryImages};
+use odograph::ground_map::{KeyframeImage, KeyframeImages, MapKeyframe, MemoryImages};
 use odograph::keyframe::{EdgeKind, KeyframeId};
 use odograph::mosaic::Mosaic;
 use odograph::numerics::median;
@@ -57,8 +57,8 @@ const COARSER: f64 = 2.0;
 const MAX_OLD: usize = 4;
 
 impl Mapping {
-    /// Opens the map to be continued, or creates a new one. Fails where the file is not a map of
-    /// this camera.
+    /// Opens the map to be continued, or creates a new one. Fails where the file is not a map with
+    /// a session of this camera.
     pub fn new(plan: &RunPlan, folder: &OutputFolder, output: &RunOutput) -> Result<Self> {
         let map = &output.map;
         let path = map.path().map_or_else(|| folder.path().join("map.gpkg"), Path::to_owned);
@@ -95,14 +95,14 @@ impl Mapping {
                 None => MapFile::open_read_only(&file.path)?,
                 Some(claim) => MapFile::open_claimed(claim.clone())?,
             };
-            if *there.camera() != global {
+            if !there.mounted_cameras()?.iter().any(|mounted| mounted.camera == global) {
                 return Err(Error::input(format!(
                     "{} was made with another camera than this run's; give the camera file that it was made with, or \
                      begin a new map",
                     file.path.display()
                 )));
             }
-            let old = there.map()?;
+            let mut old = there.map()?;
             let first = there.next_keyframe()?;
             let seen = markers.as_ref().map_or(Ok(Vec::new()), |markers| markers.seen_before(&there))?;
             file.session = if map.is_read_only() {
@@ -111,6 +111,9 @@ impl Mapping {
                 file.begin_session(&mut there)?
             };
             file.file = Some(there);
+            if global != old.camera {
+                old.other_cameras.insert(file.session, file.mounted());
+            }
             let mut mapper = Mapper::continuing(old, &plan.odometry, plan.slam, file.session, first);
             mapper.remember_sightings(seen);
             mapper
@@ -171,7 +174,9 @@ impl Mapping {
 
     /// What of the images was not ground when the map was last continued with this camera.
     pub fn expected_mask(&self) -> Option<&Arc<ImageMask>> {
-        self.mapper.map().newest_mask()
+        let map = self.mapper.map();
+        let has_it = |keyframe: &&MapKeyframe| *map.camera_of(keyframe.session) == self.file.camera;
+        map.masks.get(&map.keyframes.iter().rev().find(has_it)?.session)
     }
 
     /// Path of the map file.
@@ -277,15 +282,11 @@ impl Mapping {
     /// A warning where the run was recognised, but with metres that are not those of the map.
     pub fn scale_warning(&self) -> Option<String> {
         let scale = self.mapper.scale_in_map().filter(SessionScale::is_doubtful)?;
-        let in_map_m = self.height_m * scale.ratio;
-        // Three digits: a microscope is millimetres high.
-        let decimals = (2.0 - in_map_m.log10().floor()).clamp(2.0, 9.0) as usize;
         self.mapper.is_recognised().then(|| {
+            let camera = other_height("the camera", &scale, self.height_m);
+            let path = self.file.path.display();
             format!(
-                "by the ground that was recognised in {} the camera was {in_map_m:.decimals$} m above it, not \
-                 {:.decimals$} m: check height and focal length, here and of the map",
-                self.file.path.display(),
-                self.height_m
+                "by the ground that was recognised in {path} {camera}: check height and focal length, here and of the map"
             )
         })
     }
@@ -476,4 +477,13 @@ impl CorrectedFrames {
             self.moves.push((before.time_s, a.pose, b.pose));
         }
     }
+}
+
+/// Says at which height a camera was by the metres of a map, and not at that by which it was
+/// tracked, metres.
+pub fn other_height(camera: &str, scale: &SessionScale, height_m: f64) -> String {
+    let in_map_m = height_m * scale.ratio;
+    // Three digits: a microscope is millimetres high.
+    let decimals = (2.0 - in_map_m.log10().floor()).clamp(2.0, 9.0) as usize;
+    format!("{camera} was {in_map_m:.decimals$} m above it, not {height_m:.decimals$} m")
 }

@@ -262,9 +262,14 @@ impl RunPlan {
     /// that.
     pub(crate) fn take_lens_of(&mut self, map: Option<&Path>) -> Result<()> {
         let Some(map) = map.filter(|map| MapFile::is_there(map)) else { return Ok(()) };
-        let found = MapFile::open_read_only(map)?.camera().clone();
         let key = |camera: &Camera| (camera.width(), camera.height(), camera.focal_px().0);
-        if key(&found) == key(&self.camera) {
+        let cameras = MapFile::open_read_only(map)?.mounted_cameras()?;
+        let global = self.camera.clone().with_readout_s(None)?;
+        if cameras.iter().any(|mounted| mounted.camera == global) {
+            return Ok(());
+        }
+        let found = cameras.into_iter().find(|mounted| key(&mounted.camera) == key(&self.camera));
+        if let Some(found) = found.map(|mounted| mounted.camera) {
             let deviation_s = self.camera.readout_deviation_s();
             self.camera =
                 found.with_readout_s(self.camera.readout_s())?.with_readout_deviation_s(deviation_s);

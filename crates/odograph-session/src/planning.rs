@@ -8,7 +8,9 @@ use crate::rig::{other_size, parse_camera, read_rig, recorded_rig};
 use crate::{budget, files, pixel_shape};
 use odograph::camera::{Camera, LeverArm, Rig};
 use odograph::error::{Error, Result};
+use odograph::formats::decimal::Rounded;
 use odograph::formats::rig_file;
+use odograph::ground_map::MountedCamera;
 use odograph::loop_closure::LoopClosureConfig;
 use odograph::motion::MotionModel;
 use odograph::odometry::OdometryConfig;
@@ -28,8 +30,13 @@ impl RunBuilder {
     ) -> Result<(RunPlan, S)> {
         // An unreadable camera or map is reported before a source that may take long to open.
         let given = GivenCamera::by(self)?;
-        let rig = given.rig(self, observer)?;
+        // The camera of a map with several is known by the size of the frames.
+        let waits =
+            matches!((&given, &self.mount), (GivenCamera::Map(_), None | Some(MountChoice::Height(_))));
+        let early = (!waits).then(|| given.rig(self, observer)).transpose()?;
         let (source, size) = open(&self.source)?;
+        let given = given.of_size(size)?;
+        let rig = early.map_or_else(|| given.rig(self, observer), Ok)?;
         let by_field = matches!(given, GivenCamera::Field(_));
         let camera = given.camera(size, rig.height_m)?;
         let camera = match self.readout_s {
@@ -133,10 +140,33 @@ enum GivenCamera<'a> {
     Known(&'a Camera),
     /// Width and height of the ground in view, metres.
     Field((f64, f64)),
-    /// The camera of the continued map.
-    Map(Box<MapFile>),
+    /// The camera of the continued map: that of its first session, until the size of the frames is
+    /// known.
+    Map(Box<MapCamera>),
     /// The camera of a robot recording.
     Recording(&'a SourcePlan),
+}
+
+/// A camera of a map.
+struct MapCamera {
+    file: MapFile,
+    mounted: MountedCamera,
+}
+
+impl MapCamera {
+    fn of(map: &Path) -> Result<Self> {
+        let file = MapFile::open_read_only(map)?;
+        let mounted = MountedCamera { camera: file.camera().clone(), rig: *file.rig() };
+        Ok(Self { file, mounted })
+    }
+
+    /// The camera of the newest session with frames of this size, pixels; the first session's if
+    /// there is none.
+    fn of_size(self, size: (usize, usize)) -> Result<Self> {
+        let fits = |mounted: &MountedCamera| (mounted.camera.width(), mounted.camera.height()) == size;
+        let mounted = self.file.mounted_cameras()?.into_iter().find(fits).unwrap_or(self.mounted);
+        Ok(Self { mounted, ..self })
+    }
 }
 
 /// Whether a source is a file or folder that does not exist, and neither a stream nor `-`.
@@ -158,12 +188,12 @@ impl<'a> GivenCamera<'a> {
         match (&builder.camera, there) {
             (Some(CameraChoice::OfMap), _) => {
                 let map = map.ok_or_else(|| Error::usage("there is no map to take the camera from"))?;
-                Ok(Self::Map(Box::new(MapFile::open_read_only(map)?)))
+                Ok(Self::Map(Box::new(MapCamera::of(map)?)))
             }
             (Some(CameraChoice::File(file)), _) => Ok(Self::File(file, files::read_text(file)?)),
             (Some(CameraChoice::Known(camera)), _) => Ok(Self::Known(camera)),
             (Some(CameraChoice::FieldOfView(width_m, height_m)), _) => Ok(Self::Field((*width_m, *height_m))),
-            (None, Some(map)) => Ok(Self::Map(Box::new(MapFile::open_read_only(map)?))),
+            (None, Some(map)) => Ok(Self::Map(Box::new(MapCamera::of(map)?))),
             (None, None) if odograph_video::is_robot_recording(&builder.source.path) => {
                 Ok(Self::Recording(&builder.source))
             }
@@ -180,6 +210,31 @@ impl<'a> GivenCamera<'a> {
         }
     }
 
+    /// The same for frames of this size, pixels.
+    fn of_size(self, size: (usize, usize)) -> Result<Self> {
+        Ok(match self {
+            Self::Map(map) => Self::Map(Box::new(map.of_size(size)?)),
+            other => other,
+        })
+    }
+
+    /// The mount in the continued map of the camera, if the map has a session of it; the newest.
+    fn rig_in_map(&self, builder: &RunBuilder) -> Result<Option<Rig>> {
+        let map = builder.output.map.path().filter(|map| MapFile::is_there(map));
+        let is_same = |mounted: &MountedCamera| match self {
+            Self::Map(map) => mounted.camera == map.mounted.camera,
+            Self::Known(camera) => has_same_lens(camera, &mounted.camera),
+            Self::File(path, text) => {
+                let size = (mounted.camera.width(), mounted.camera.height());
+                parse_camera(path, text, size).is_ok_and(|camera| has_same_lens(&camera, &mounted.camera))
+            }
+            Self::Field(_) | Self::Recording(_) => false,
+        };
+        let Some(map) = map else { return Ok(None) };
+        let cameras = MapFile::open_read_only(map)?.mounted_cameras()?;
+        Ok(cameras.into_iter().find(is_same).map(|mounted| mounted.rig))
+    }
+
     fn rig(&self, builder: &RunBuilder, observer: &dyn Observer) -> Result<Rig> {
         match (&builder.mount, self) {
             (Some(MountChoice::File(path)), _) => read_rig(path, observer),
@@ -188,16 +243,27 @@ impl<'a> GivenCamera<'a> {
             (Some(MountChoice::Height(height_m)), _) => {
                 let level = Rig::level(*height_m).validated()?;
                 let SourcePlan { path, topic, .. } = &builder.source;
-                let recorded = recorded_rig(path, topic.as_deref(), Some(*height_m), observer)?;
-                Ok(recorded.unwrap_or(level))
+                if let Some(recorded) = recorded_rig(path, topic.as_deref(), Some(*height_m), observer)? {
+                    return Ok(recorded);
+                }
+                match self.rig_in_map(builder)? {
+                    // The height alone says nothing of the rest of the mount.
+                    Some(there) if (Rig { height_m: *height_m, ..there }) != level => {
+                        note_kept_mount(&there, observer);
+                        Rig { height_m: *height_m, ..there }.validated()
+                    }
+                    _ => Ok(level),
+                }
             }
             // The field of view already gives the scale. The height is that of a lens of 53°: from
             // a fixed height a field of 120 m would be seen by a lens that cannot be tracked.
             (None, Self::Field((width_m, _))) => Rig::level(*width_m).validated(),
-            (None, Self::Map(map)) => Ok(*map.rig()),
+            (None, Self::Map(map)) => Ok(map.mounted.rig),
             (None, Self::File(..) | Self::Known(_) | Self::Recording(_)) => {
                 let SourcePlan { path, topic, .. } = &builder.source;
-                recorded_rig(path, topic.as_deref(), None, observer)?.ok_or_else(|| {
+                let recorded = recorded_rig(path, topic.as_deref(), None, observer)?;
+                let known = recorded.map_or_else(|| self.rig_in_map(builder), |rig| Ok(Some(rig)))?;
+                known.ok_or_else(|| {
                     Error::usage(
                         "the height of the camera above the ground is missing; give --height LENGTH, such as 90cm, or --rig FILE",
                     )
@@ -212,7 +278,7 @@ impl<'a> GivenCamera<'a> {
             Self::File(path, text) => parse_camera(path, &text, size),
             Self::Known(camera) => Ok(camera.clone()),
             Self::Field(field) => Camera::from_field_of_view(size, field, height_m),
-            Self::Map(map) => Ok(map.camera().clone()),
+            Self::Map(map) => Ok(map.mounted.camera),
             Self::Recording(SourcePlan { path, topic, .. }) => {
                 match odograph_video::recorded_camera(path, topic.as_deref())? {
                     Some(recorded) => Ok(recorded.camera),
@@ -224,4 +290,25 @@ impl<'a> GivenCamera<'a> {
             }
         }
     }
+}
+
+/// Whether two cameras differ in nothing but their readout time, which a map does not have, and in
+/// a lens that was estimated.
+fn has_same_lens(one: &Camera, other: &Camera) -> bool {
+    let key = |camera: &Camera| (camera.width(), camera.height(), camera.focal_px().0);
+    key(one) == key(other)
+}
+
+/// Tells that what a height alone does not say of a mount is as in the map.
+fn note_kept_mount(rig: &Rig, observer: &dyn Observer) {
+    let arm = rig.lever_arm.map_or_else(String::new, |LeverArm { x_m, y_m, z_m }| {
+        let [x_m, y_m, z_m] = [x_m, y_m, z_m].map(Rounded);
+        format!("x {x_m:.3} m, y {y_m:.3} m, z {z_m:.3} m, ")
+    });
+    let [roll, pitch, yaw] =
+        [rig.roll_rad, rig.pitch_rad, rig.yaw_rad].map(|angle_rad| Rounded(angle_rad.to_degrees()));
+    observer.note(&format!(
+        "the height is the given one, the rest of the mount that of the map: {arm}roll {roll:.1}°, pitch {pitch:.1}°, \
+         yaw {yaw:.1}° (--rig overrides)"
+    ));
 }

@@ -17,7 +17,7 @@ const AT_REST_RESIDUALS: f64 = 0.4;
 
 /// Smallest share of the frames that have a pose or were lost to corners that stand still, and of
 /// those with a pose that are at rest beside such losses: in the others the camera may have moved.
-const MIN_SHARE: f64 = 0.9;
+pub(crate) const MIN_SHARE: f64 = 0.9;
 
 /// A warning where the camera did not move from the first frame to the last, or where what was
 /// tracked is likely to be a part of the carrier. Fails where the frames cannot be read back.
@@ -47,7 +47,7 @@ pub fn stillness_warning(frames: &mut KeptFrames, camera: &Camera) -> Result<Opt
     if ((posed + stood_still) as f64) < MIN_SHARE * count as f64 {
         return Ok(None);
     }
-    let limit_px = AT_REST_PX + AT_REST_RESIDUALS * median(&mut residuals_px).unwrap_or(0.0);
+    let limit_px = at_rest_px(&mut residuals_px);
     let at_rest = moved_px.iter().filter(|&&moved_px| moved_px <= limit_px).count();
     Ok(if at_rest == posed {
         let most_px = moved_px.iter().copied().fold(0.01, f64::max);
@@ -67,8 +67,13 @@ pub fn stillness_warning(frames: &mut KeptFrames, camera: &Camera) -> Result<Opt
     })
 }
 
+/// Largest displacement of the image at rest, for frames with these residuals, pixels.
+pub(crate) fn at_rest_px(residuals_px: &mut [f64]) -> f64 {
+    AT_REST_PX + AT_REST_RESIDUALS * median(residuals_px).unwrap_or(0.0)
+}
+
 /// Whether a frame was lost to corners that stand still in the image.
-fn stands_still(frame: &FrameEstimate) -> bool {
+pub(crate) fn stands_still(frame: &FrameEstimate) -> bool {
     frame.status == TrackStatus::Lost { reason: LossReason::Shadow }
 }
 

@@ -19,6 +19,10 @@ const LOOKS_EVERY: Duration = Duration::from_millis(500);
 /// Shortest and longest pause after a failure; each is twice the one before.
 const FIRST_PAUSE: Duration = Duration::from_millis(500);
 const LONGEST_PAUSE: Duration = Duration::from_secs(15);
+/// Time that a link that has sent everything waits for the site to recognise the session, which
+/// takes one or two seconds where it does, and the pause between two questions.
+const RECOGNISED_WITHIN: Duration = Duration::from_secs(5);
+const ASKS_EVERY: Duration = Duration::from_millis(200);
 /// Maximum number of records read at once: bounds memory, and what is sent again after a failure.
 const AT_ONCE: usize = 16;
 
@@ -73,6 +77,7 @@ impl SiteLink {
             robot: robot.to_owned(),
             client,
             current: None,
+            newest: None,
             done: BTreeSet::new(),
             shared: Arc::clone(&shared),
             listening,
@@ -95,7 +100,8 @@ impl SiteLink {
     }
 
     /// Sends the rest of the map, which no program writes any more, as long as the site takes it,
-    /// and at most `patience` after its last sign of life. `keep_going` is asked in between.
+    /// and at most `patience` after its last sign of life. Then waits some seconds for the site to
+    /// recognise the newest session. `keep_going` is asked in between.
     pub fn finish(mut self, patience: Duration, keep_going: &dyn Fn() -> bool) -> LinkReport {
         *self.shared.finishing.lock().unwrap_or_else(PoisonError::into_inner) = true;
         self.shared.changed.notify_all();
@@ -149,6 +155,8 @@ struct Sending {
     robot: String,
     client: SiteClient,
     current: Option<Current>,
+    /// The newest session of the robot in the map.
+    newest: Option<SessionOrigin>,
     /// Sessions that have ended, here and there.
     done: BTreeSet<SessionOrigin>,
     shared: Arc<LinkState>,
@@ -181,6 +189,7 @@ impl Sending {
                         report.complete = finishing;
                     });
                     if finishing {
+                        self.wait_for_place();
                         return;
                     }
                     self.wait(LOOKS_EVERY, finishing);
@@ -198,6 +207,25 @@ impl Sending {
         }
     }
 
+    /// Asks where the newest session lies in the map of the site until the site has recognised it,
+    /// or has taken the robot out of its map.
+    fn wait_for_place(&mut self) {
+        let Some(origin) = self.newest.clone() else { return };
+        let began = Instant::now();
+        loop {
+            let status = self.shared.report.lock().unwrap_or_else(PoisonError::into_inner).status.clone();
+            let is_answered =
+                status.is_none_or(|status| status.map_from_odom.is_some() || !status.state.is_merged());
+            if is_answered || self.is_ended() || began.elapsed() >= RECOGNISED_WITHIN {
+                return;
+            }
+            self.wait(ASKS_EVERY, true);
+            // Everything has been sent: a site that does not answer now is no failure.
+            let Ok(status) = self.client.send(&origin, &[], false) else { return };
+            self.heard(status, 0);
+        }
+    }
+
     /// Sends everything that is in the map now.
     fn round(&mut self, finishing: bool) -> std::result::Result<(), Stopped> {
         if !MapFile::is_there(&self.map) {
@@ -212,6 +240,7 @@ impl Sending {
             .filter(|(origin, ..)| origin.robot == self.robot)
             .collect();
         let newest = own.last().map(|(origin, ..)| origin.clone());
+        self.newest.clone_from(&newest);
         for (origin, session, source) in own {
             // An earlier session has ended with the program that wrote it.
             let is_over = finishing || Some(&origin) != newest.as_ref();

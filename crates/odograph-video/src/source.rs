@@ -46,6 +46,7 @@ pub struct Source {
     /// The first frame, decoded when the source is opened.
     first: Option<(f64, Picture)>,
     clock: Clock,
+    rate_is_assumed: bool,
     next_number: u64,
     in_range: u64,
     given: u64,
@@ -247,6 +248,7 @@ impl Source {
                 ASSUMED_FRAMES_PER_SECOND
             })),
         };
+        let rate_is_assumed = !warnings.is_empty();
         let (time_s, picture, skipped) = first_frame(opened.frames.as_mut())?;
         let (width, height) = (picture.gray.width(), picture.gray.height());
         limits::check_size(width, height)?;
@@ -265,6 +267,7 @@ impl Source {
             frames: opened.frames,
             first: Some((time_s, picture)),
             clock,
+            rate_is_assumed,
             next_number: skipped,
             in_range: 0,
             given: 0,
@@ -279,6 +282,11 @@ impl Source {
     /// Properties of the source.
     pub fn info(&self) -> &SourceInfo {
         &self.info
+    }
+
+    /// Whether nothing says when the frames were taken, so that a frame rate is assumed.
+    pub fn is_rate_assumed(&self) -> bool {
+        self.rate_is_assumed
     }
 
     /// The next selected frame; `None` at the end.

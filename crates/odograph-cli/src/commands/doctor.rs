@@ -9,8 +9,8 @@ use odograph_session::{Diagnosis, Finding, Judgement, RunBuilder, SourcePlan};
 /// Say what limits the accuracy of a recording, and what to change.
 ///
 /// Looks at some 300 frames, spread over the first 9000, and writes nothing. One line for each
-/// thing that was examined: good, limits (less accurate than it could be) or spoils (wrong, or
-/// lost).
+/// thing that was examined: good, unknown (the recording does not show it), limits (less accurate
+/// than it could be) or spoils (wrong, or lost).
 #[derive(Debug, clap::Args)]
 #[command(after_help = EXAMPLES)]
 pub struct DoctorArguments {
@@ -64,7 +64,7 @@ pub fn doctor(arguments: DoctorArguments) -> Result<Outcome> {
         diagnosis.warnings.iter().for_each(|warning| console::warn(warning));
     }
     Ok(match diagnosis.worst() {
-        Judgement::Good | Judgement::Limits => Outcome::Done,
+        Judgement::Good | Judgement::Unknown | Judgement::Limits => Outcome::Done,
         Judgement::Spoils => Outcome::NotToBeTrusted,
     })
 }
@@ -80,7 +80,7 @@ fn text(file: &str, diagnosis: &Diagnosis, only_bad: bool) -> String {
             console::name(format!("{file}: {description}"))
         ),
     };
-    let shown = findings.iter().filter(|finding| !only_bad || finding.judgement != Judgement::Good);
+    let shown = findings.iter().filter(|finding| !only_bad || finding.judgement > Judgement::Unknown);
     head + &shown.map(line).collect::<String>()
 }
 

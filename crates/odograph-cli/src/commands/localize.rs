@@ -27,7 +27,7 @@ use std::path::{Path, PathBuf};
 pub struct LocalizeArguments {
     /// A picture, a video, a folder of pictures, or `-` for Y4M on standard input.
     ///
-    /// It must be of the camera that the map was made with.
+    /// It must be of a camera that the map was made with.
     #[arg(value_name = "SOURCE")]
     pub source: String,
     /// The map.

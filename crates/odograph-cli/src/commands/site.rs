@@ -246,13 +246,26 @@ pub fn site(arguments: SiteArguments) -> Result<Outcome> {
         SiteCommand::Serve(arguments) => serve(&arguments),
         SiteCommand::Send(arguments) => send(&arguments),
         SiteCommand::Robots(arguments) => robots(&arguments),
-        SiteCommand::Withdraw(arguments) => {
-            SiteClient::new(arguments.site).set_robot(&arguments.robot, "withdraw").map(|()| Outcome::Done)
+        SiteCommand::Withdraw(arguments) => set_robot(
+            &arguments,
+            "withdraw",
+            "is withdrawn: what it sent is taken out of the map and its records are kept; odograph site restore \
+             puts it in again",
+        ),
+        SiteCommand::Restore(RestoreArguments { of, trust: false }) => {
+            set_robot(&of, "restore", "is restored: its records are put into the map again")
         }
-        SiteCommand::Restore(RestoreArguments { of, trust }) => SiteClient::new(of.site)
-            .set_robot(&of.robot, if trust { "trust" } else { "restore" })
-            .map(|()| Outcome::Done),
+        SiteCommand::Restore(RestoreArguments { of, trust: true }) => {
+            set_robot(&of, "trust", "is trusted: its records are put into the map, whatever its metres are")
+        }
     }
+}
+
+/// Decides about a robot, and says what was `done`.
+fn set_robot(arguments: &RobotArguments, action: &str, done: &str) -> Result<Outcome> {
+    SiteClient::new(arguments.site.clone()).set_robot(&arguments.robot, action)?;
+    console::print(&format!("{} {done}\n", console::name(&arguments.robot)))?;
+    Ok(Outcome::Done)
 }
 
 fn serve(arguments: &ServeSiteArguments) -> Result<Outcome> {

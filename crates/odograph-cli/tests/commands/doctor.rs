@@ -36,7 +36,8 @@ impl Clip {
         for (option, value) in
             [("--size", "320x240"), ("--duration", "2"), ("--path", "eight"), ("--speed", "0.3")]
         {
-            if !options.contains(&option) {
+            let is_without_effect = option == "--speed" && options.contains(&"still");
+            if !options.contains(&option) && !is_without_effect {
                 all.extend([option, value]);
             }
         }
@@ -284,4 +285,32 @@ fn findings_are_a_line_each_and_bad_input_is_an_error() {
         assert!(output.stdout.is_empty(), "{arguments:?}");
     }
     assert!(Path::new(&source).exists());
+}
+
+#[test]
+fn a_recording_in_which_nothing_moves_is_a_finding() {
+    let still = Clip::of_pictures(&["--path", "still"]);
+    // What a camera file of unknown shutter leaves open.
+    let camera = still.path("unknown.yaml");
+    let text = fs::read_to_string(still.path("camera.yaml")).unwrap();
+    let kept: Vec<&str> = text.lines().filter(|line| !line.starts_with("readout_time_s")).collect();
+    fs::write(&camera, kept.join("\n")).unwrap();
+    let diagnosis = still.doctor_with(&["--camera", &camera, "--height", "0.9"]);
+    let finding = diagnosis.assert("motion", "spoils");
+    assert!(finding["measured"].as_str().unwrap().contains("did not move in the 61 frames"), "{finding}");
+    for topic in ["shutter", "tilt", "fixed in the image"] {
+        let finding = diagnosis.assert(topic, "unknown");
+        assert_eq!(finding["measured"], "not determined: nothing moves", "{topic}");
+    }
+    // Pictures have no times, unless they are given.
+    let finding = diagnosis.assert("frame times", "unknown");
+    assert!(finding["measured"].as_str().unwrap().starts_with("assumed, 30.00 frames/s"), "{finding}");
+    let timed = still.doctor_with(&["--fps", "30", "--camera", &camera, "--height", "0.9"]);
+    assert_eq!(timed.finding("frame times")["judgement"], "good");
+    // The camera is not at rest in the frames looked at where it creeps.
+    let creeps =
+        Clip::new(&["--path", "straight", "--length", "2mm", "--speed", "0.01", "--duration", "1"]).doctor();
+    let topics: Vec<&Value> =
+        creeps.json["findings"].as_array().unwrap().iter().map(|one| &one["topic"]).collect();
+    assert!(!topics.contains(&&Value::from("motion")), "{topics:?}");
 }

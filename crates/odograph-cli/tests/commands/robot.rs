@@ -1,6 +1,6 @@
 //! Black-box tests of the robot's frame: a camera on a lever arm.
 
-use super::program::{done_once, odograph, printed};
+use super::program::{done, done_once, odograph, printed};
 use nalgebra::Isometry3;
 use odograph::camera::{LeverArm, Rig};
 use odograph::formats::rig_file;
@@ -95,6 +95,24 @@ fn with_a_lever_arm_the_poses_are_those_of_the_robot() {
     let off = ["x_m", "y_m"].map(|name| place["place"][name].as_f64().unwrap());
     let off_m = (off[0] - last.translation.x).hypot(off[1] - last.translation.y);
     assert!(off_m < 5e-3, "{found} {last}");
+}
+
+#[test]
+fn a_height_alone_keeps_the_rest_of_the_mount_of_a_map() {
+    let place = tempfile::tempdir().unwrap();
+    let here = place.path();
+    recorded(here);
+    printed(here, &format!("run {DRIVE} --rig armed.toml -o robot --max-frames 40"));
+    let drive = DRIVE.replace(" --camera sim/camera.yaml --quiet", "");
+    for (camera, folder) in [("", "again"), ("--camera sim/camera.yaml ", "with-camera")] {
+        let arguments = format!("run {drive} {camera}--height 0.75 --map robot/map.gpkg -o {folder}");
+        let told = done(here, &arguments);
+        let note = "the rest of the mount that of the map: x 0.300 m, y 0.050 m, z 0.600 m, roll 0.0°, \
+                    pitch 0.0°, yaw 90.0°";
+        assert!(told.contains(note), "{told}");
+        let text = fs::read_to_string(here.join(folder).join("trajectory.tum")).unwrap();
+        assert!(text.contains("(world_from_base_link)"), "{camera}");
+    }
 }
 
 #[test]

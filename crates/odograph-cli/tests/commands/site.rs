@@ -60,7 +60,10 @@ fn two_runs_share_the_map_of_a_site_that_was_killed() {
     let run = format!("{} --camera {DEMO}/camera.yaml --rig {DEMO}/rig.toml --quiet", drive.display());
     let serving = Serving::new(folder, "127.0.0.1:0");
     let url = serving.url.clone();
-    done(folder, &format!("run {run} --max-frames 400 -o one --site {url} --robot one"));
+    let loud = run.trim_end_matches(" --quiet");
+    let told = done(folder, &format!("run {loud} --max-frames 400 -o one --site {url} --robot one"));
+    let told = String::from_utf8(told.stderr).unwrap();
+    assert!(told.contains("; its map from this odometry: x 0.000 m, y 0.000 m"), "{told}");
     let status: Value =
         serde_json::from_slice(&std::fs::read(folder.join("one/site.json")).unwrap()).unwrap();
     assert_eq!(status["ended"], true);
@@ -101,6 +104,15 @@ fn two_runs_share_the_map_of_a_site_that_was_killed() {
     let status: Value =
         serde_json::from_slice(&std::fs::read(folder.join("three/site.json")).unwrap()).unwrap();
     assert_eq!(status["ended"], true);
+    for (command, said) in [
+        ("withdraw", "three is withdrawn: "),
+        ("restore", "three is restored: "),
+        ("restore --trust", "three is trusted: "),
+    ] {
+        let told = done(folder, &format!("site {command} three --site {url}"));
+        let told = String::from_utf8(told.stdout).unwrap();
+        assert!(told.starts_with(said) && told.lines().count() == 1, "{told}");
+    }
     drop(serving);
     let info = done(folder, "map info hall/map.gpkg --json");
     let info: Value = serde_json::from_slice(&info.stdout).unwrap();

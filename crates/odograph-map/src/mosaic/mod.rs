@@ -99,6 +99,22 @@ impl MapFile {
         Ok(false)
     }
 
+    /// Removes the finest level of the stored mosaic, which then has pixels of twice the side; of a
+    /// mosaic of one level nothing is left. Does nothing where there is none.
+    pub fn coarsen_mosaic(&mut self) -> Result<()> {
+        let Some(layer) = self.mosaic()? else { return Ok(()) };
+        self.all_or_nothing(|file| {
+            pyramid::remove_finest(&file.connection, &layer).while_writing(&file.complaint)?;
+            Ok(true)
+        })?;
+        Ok(())
+    }
+
+    /// Size of the tiles of the mosaic, bytes.
+    pub fn mosaic_bytes(&self) -> Result<u64> {
+        pyramid::bytes(&self.connection).while_reading(&self.complaint)
+    }
+
     /// Runs `write` in a transaction; rolls back unless it returns true.
     fn all_or_nothing(&mut self, write: impl FnOnce(&mut Self) -> Result<bool>) -> Result<bool> {
         self.connection.execute_batch("BEGIN IMMEDIATE").while_writing(&self.complaint)?;

@@ -27,13 +27,7 @@ impl TilePyramid {
         (columns, rows): (Range<i64>, Range<i64>),
         resolution_m: f64,
     ) -> Result<Self> {
-        for sql in [
-            "DELETE FROM mosaic",
-            "DELETE FROM gpkg_tile_matrix WHERE table_name = 'mosaic'",
-            "DELETE FROM gpkg_tile_matrix_set WHERE table_name = 'mosaic'",
-        ] {
-            connection.execute(sql, [])?;
-        }
+        clear(connection)?;
         let tiles = (columns.end - columns.start).max(rows.end - rows.start).max(1);
         let finest = (tiles as u64).next_power_of_two().trailing_zeros();
         Ok(Self { finest, resolution_m, first: (columns.start, rows.start), shown: None })
@@ -94,6 +88,40 @@ impl TilePyramid {
         });
         geopackage::set_extent(connection, "mosaic", extent)
     }
+}
+
+/// Removes all tiles and levels.
+fn clear(connection: &Connection) -> Result<()> {
+    for sql in [
+        "DELETE FROM mosaic",
+        "DELETE FROM gpkg_tile_matrix WHERE table_name = 'mosaic'",
+        "DELETE FROM gpkg_tile_matrix_set WHERE table_name = 'mosaic'",
+    ] {
+        connection.execute(sql, [])?;
+    }
+    Ok(())
+}
+
+/// Removes the finest level of a pyramid; everything where it is the only one.
+pub(super) fn remove_finest(connection: &Connection, layer: &MosaicLayer) -> Result<()> {
+    let Some(next) = layer.finest.checked_sub(1) else {
+        clear(connection)?;
+        return geopackage::set_extent(connection, "mosaic", None);
+    };
+    connection.execute("DELETE FROM mosaic WHERE zoom_level > ?1", [next])?;
+    connection
+        .execute("DELETE FROM gpkg_tile_matrix WHERE table_name = 'mosaic' AND zoom_level > ?1", [next])?;
+    // The extent is of whole pixels of the level that is the finest now.
+    let pixel_m = 2.0 * layer.resolution_m;
+    let [left, right] = [layer.columns.start / 2, layer.columns.end.div_ceil(2)];
+    let [top, bottom] = [layer.rows.start / 2, layer.rows.end.div_ceil(2)];
+    let (x, y) = (|k: u64| layer.left_m + k as f64 * pixel_m, |k: u64| layer.top_m - k as f64 * pixel_m);
+    geopackage::set_extent(connection, "mosaic", Some(Extent([x(left), y(bottom), x(right), y(top)])))
+}
+
+/// Size of all tiles, bytes.
+pub(super) fn bytes(connection: &Connection) -> Result<u64> {
+    connection.query_row("SELECT ifnull(sum(length(tile_data)), 0) FROM mosaic", [], |row| row.get(0))
 }
 
 /// Writes a tile.

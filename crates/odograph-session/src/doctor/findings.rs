@@ -18,6 +18,8 @@ use serde::Serialize;
 pub enum Judgement {
     /// Not noticeably.
     Good,
+    /// Not determined: the recording does not show it.
+    Unknown,
     /// The result will be less accurate than it could be.
     Limits,
     /// The result will be wrong, or tracking will be lost.
@@ -29,6 +31,7 @@ impl Judgement {
     pub fn name(self) -> &'static str {
         match self {
             Self::Good => "good",
+            Self::Unknown => "unknown",
             Self::Limits => "limits",
             Self::Spoils => "spoils",
         }
@@ -68,6 +71,8 @@ pub struct Seen<'a> {
     pub camera: &'a Camera,
     pub rig: &'a Rig,
     pub intervals: Option<Intervals>,
+    /// Whether the times of the frames are by an assumed frame rate.
+    pub rate_is_assumed: bool,
     pub coded: Option<Coded>,
     pub appearance: &'a Appearance,
     pub tracking: &'a Tracking,
@@ -88,6 +93,16 @@ fn found(
     Finding { topic, value: Some(value), unit, judgement, measured, advice }
 }
 
+/// What could not be determined, and what to do, where something can be done.
+fn unknown(topic: &'static str, unit: &'static str, measured: String, advice: &str) -> Finding {
+    let advice = (!advice.is_empty()).then(|| advice.to_owned());
+    Finding { topic, value: None, unit, judgement: Judgement::Unknown, measured, advice }
+}
+
+/// Why something is not determined, and what to do.
+const AT_REST: &str = "not determined: nothing moves";
+const DRIVE: &str = "examine a recording in which the camera drives";
+
 impl Seen<'_> {
     /// All findings, in the order in which to read them.
     pub fn findings(&self) -> Vec<Finding> {
@@ -96,6 +111,7 @@ impl Seen<'_> {
         findings.extend(self.copies());
         findings.push(self.exposure());
         findings.push(self.texture());
+        findings.extend(self.motion());
         findings.extend(self.blur());
         findings.extend(self.overlap());
         findings.push(self.losses());
@@ -141,6 +157,13 @@ impl Seen<'_> {
         let Some(Intervals { usual_s, gaps, longest_gap_s, jitter }) = self.intervals else {
             return Vec::new();
         };
+        if self.rate_is_assumed {
+            let measured = format!(
+                "assumed, {:.2} frames/s: nothing says when the frames were taken, or whether one is missing",
+                1.0 / usual_s
+            );
+            return vec![unknown("frame times", "%", measured, "give --timestamps or --fps")];
+        }
         let percent = 100.0 * jitter;
         let regular = found(
             "frame times",
@@ -240,6 +263,23 @@ impl Seen<'_> {
                 }
             },
         )
+    }
+
+    /// A recording in which nothing moves.
+    fn motion(&self) -> Option<Finding> {
+        let most_px = self.tracking.at_rest_px()?;
+        Some(found(
+            "motion",
+            (most_px, "px"),
+            Judgement::Spoils,
+            format!(
+                "the camera did not move in the {} frames looked at: the image stays where it is, to {:.2} px",
+                self.tracking.frames,
+                most_px.max(0.01)
+            ),
+            "if it was driven, the stream is frozen, this is another recording, or everything in view moves with the \
+             camera (a bumper, something over the lens)",
+        ))
     }
 
     fn blur(&self) -> Option<Finding> {
@@ -343,6 +383,9 @@ impl Seen<'_> {
             return Some(found("shutter", (1e3 * readout_s, "ms"), Judgement::Good, measured, ""));
         }
         let usual_s = self.intervals?.usual_s;
+        if self.tracking.at_rest_px().is_some() {
+            return Some(unknown("shutter", "ms", AT_REST.to_owned(), DRIVE));
+        }
         let along: Vec<f64> =
             self.tracking.steps.iter().map(|step| step.middle_px.1.abs() / step.time_s).collect();
         let px_s = along.iter().sum::<f64>() / along.len().max(1) as f64;
@@ -366,10 +409,15 @@ impl Seen<'_> {
             ),
             None => {
                 let percent = by(usual_s.min(LONGEST_USUAL_S));
+                let judgement = match Judgement::of(percent, 0.05, f64::INFINITY) {
+                    // That it does no harm here does not make it known.
+                    Judgement::Good => Judgement::Unknown,
+                    harmful => harmful,
+                };
                 found(
                     "shutter",
                     (percent, "%"),
-                    Judgement::of(percent, 0.05, f64::INFINITY),
+                    judgement,
                     format!(
                         "the readout time is not known; a rolling shutter would stretch the path by up to {percent:.1} %"
                     ),
@@ -380,6 +428,9 @@ impl Seen<'_> {
     }
 
     fn fixed_in_image(&self) -> Finding {
+        if self.tracking.at_rest_px().is_some() {
+            return unknown("fixed in the image", "%", AT_REST.to_owned(), DRIVE);
+        }
         let percent = 100.0 * self.fixed_share.max(0.0);
         let judgement = Judgement::of(percent, 1.0, 50.0);
         let place = match judgement {
@@ -438,9 +489,14 @@ impl Seen<'_> {
         }
         let (roll_deg, pitch_deg) = (self.rig.roll_rad.to_degrees(), self.rig.pitch_rad.to_degrees());
         let Some(tilt) = self.tracking.found.as_ref().and_then(|found| found.tilt.as_ref()) else {
-            let moved = !self.tracking.steps.is_empty();
             let measured = format!("no other was found than {}", given(roll_deg, pitch_deg));
-            return moved.then(|| found("tilt", (0.0, "deg"), Judgement::Good, measured, ""));
+            return Some(match self.tracking.at_rest_px() {
+                Some(_) => unknown("tilt", "deg", AT_REST.to_owned(), DRIVE),
+                None if self.tracking.steps.is_empty() => {
+                    unknown("tilt", "deg", "not determined: no motion was tracked".to_owned(), DRIVE)
+                }
+                None => found("tilt", (0.0, "deg"), Judgement::Good, measured, ""),
+            });
         };
         let (roll, pitch) = (tilt.roll_rad.to_degrees(), tilt.pitch_rad.to_degrees());
         let by_deg = (roll - roll_deg).abs().max((pitch - pitch_deg).abs());
@@ -523,7 +579,8 @@ mod tests {
 
     #[test]
     fn judgements_are_ordered_and_thresholds_inclusive() {
-        assert!(Judgement::Good < Judgement::Limits && Judgement::Limits < Judgement::Spoils);
+        assert!(Judgement::Good < Judgement::Unknown && Judgement::Unknown < Judgement::Limits);
+        assert!(Judgement::Limits < Judgement::Spoils);
         assert_eq!(Judgement::of(0.9, 1.0, 2.0), Judgement::Good);
         assert_eq!(Judgement::of(1.0, 1.0, 2.0), Judgement::Limits);
         assert_eq!(Judgement::of(2.0, 1.0, 2.0), Judgement::Spoils);

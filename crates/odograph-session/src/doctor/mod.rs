@@ -69,6 +69,7 @@ impl RunBuilder {
         let given = given.map(|picture| ImageMask::from_picture(&picture));
         let given_share = given.as_ref().map_or(0.0, ImageMask::share);
         let stretches = stretches::of(info.frame_count);
+        let rate_is_assumed = source.is_rate_assumed();
         let may_begin_again = is_readable_again(&plan.source);
         let mut looked_at = Looked::new(size, &plan, given.clone());
         // Begins again as a run does: frames that were lost until a pattern that the camera adds,
@@ -99,6 +100,7 @@ impl RunBuilder {
             camera: &plan.camera,
             rig: &plan.rig,
             intervals: Intervals::new(&looked_at.times_s),
+            rate_is_assumed,
             coded: lens::bits_per_pixel(&self.source.path, &info, looked_at.times_s.len() as u64),
             appearance: &looked_at.appearance,
             tracking: &looked_at.tracking,

@@ -2,6 +2,7 @@
 
 use super::appearance::Sharpness;
 use crate::plan::RunPlan;
+use crate::stillness::{self, at_rest_px};
 use odograph::camera::{Camera, PosedCamera, Rig};
 use odograph::continuous_time::ReadoutEstimation;
 use odograph::error::Result;
@@ -42,6 +43,12 @@ pub struct Tracking {
     pub frames: usize,
     pub lost: Vec<LossReason>,
     pub copies: usize,
+    /// Of each frame with a pose, the displacement since the first one of its stretch, pixels;
+    /// infinite where it is not known.
+    shifts_px: Vec<f64>,
+    residuals_px: Vec<f64>,
+    /// Frames that were lost to corners that stand still in the image.
+    stood_still: usize,
     /// Fraction of the tracks that are inliers, of each tracked frame.
     agreeing: Vec<f64>,
     /// The calibration that differs from the given one, of the most pairs of views.
@@ -60,6 +67,9 @@ impl Tracking {
             frames: 0,
             lost: Vec::new(),
             copies: 0,
+            shifts_px: Vec::new(),
+            residuals_px: Vec::new(),
+            stood_still: 0,
             agreeing: Vec::new(),
             found: None,
             readout_s: None,
@@ -73,6 +83,16 @@ impl Tracking {
         steps_px.sort_by(f64::total_cmp);
         let index = (quantile * steps_px.len() as f64) as usize;
         steps_px.get(index.min(steps_px.len().checked_sub(1)?)).copied()
+    }
+
+    /// The largest displacement within a stretch, pixels, where nothing moves in any of them, as a
+    /// run judges it; `None` where something moves, or too few frames have a pose.
+    pub fn at_rest_px(&self) -> Option<f64> {
+        let posed = self.shifts_px.len();
+        let seen = (posed + self.stood_still) as f64;
+        let most_px = self.shifts_px.iter().copied().fold(0.0, f64::max);
+        let is_known = posed >= 2 && seen >= stillness::MIN_SHARE * self.frames as f64;
+        (is_known && most_px <= at_rest_px(&mut self.residuals_px.clone())).then_some(most_px)
     }
 
     /// The largest fraction of the image by which the ground moved between two frames.
@@ -122,6 +142,8 @@ pub struct Stretch {
     shutter: Option<ReadoutEstimation>,
     readout: Option<Readout>,
     last: Option<(GroundPose, f64)>,
+    /// Its first pose.
+    first: Option<(usize, GroundPose)>,
 }
 
 impl Stretch {
@@ -136,6 +158,7 @@ impl Stretch {
             shutter: ReadoutEstimation::new(&plan.camera),
             readout: None,
             last: None,
+            first: None,
         })
     }
 
@@ -165,6 +188,14 @@ impl Stretch {
             into.steps.push(Step { middle_px, most_px, time_s: time_s - before_s, sharpness });
         }
         self.last = now.map(|pose| (pose, time_s));
+        into.stood_still += usize::from(stillness::stands_still(&estimate));
+        if let Some(now) = now {
+            let (segment, first) = *self.first.get_or_insert((estimate.segment, now));
+            // What was lost in between may have moved.
+            let shift = displacement(&into.camera, first, now).filter(|_| segment == estimate.segment);
+            into.shifts_px.push(shift.map_or(f64::INFINITY, |(_, most_px)| most_px));
+            into.residuals_px.push(estimate.residual_px);
+        }
         if self.readout.is_none()
             && let Some(shutter) = &mut self.shutter
         {

@@ -4,19 +4,24 @@ use super::{info::pieces, mosaic};
 use crate::{Outcome, console, files, interrupt};
 use odograph::error::{Error, Result};
 use odograph::ground_map::KeyframeStore;
-use odograph::ground_map::{KeyframeImage, KeyframeImages, MapKeyframe};
+use odograph::ground_map::{GroundMap, KeyframeImage, KeyframeImages, MapKeyframe};
 use odograph::keyframe::{KeyframeId, MapEdge};
 use odograph::landmark::{MarkerSighting, PlacedSighting};
+use odograph::loop_closure::LoopClosure;
 use odograph::loop_closure::LoopClosureConfig;
+use odograph::numerics::median;
 use odograph::odometry::OdometryConfig;
-use odograph::slam::{self, Mapper};
-use odograph_map::{KeyframeMove, MapClaim, MapFile, MapMarker, corrected_path};
+use odograph::place_recognition::{PlaceIndex, PlacesConfig};
+use odograph::slam::{self, Mapper, SessionScale};
+use odograph_map::{KeyframeMove, MapClaim, MapFile, MapMarker, Session, corrected_path};
+use odograph_session::other_height;
 use std::fs;
 use std::path::{Path, PathBuf};
 
 /// Join maps of one camera with common ground.
 ///
-/// The first one's frame is kept; the others are recognised in it.
+/// The first one's frame is kept; the others are recognised in it. Sessions that are in it already
+/// are left out.
 #[derive(Debug, clap::Args)]
 #[command(after_help = EXAMPLES)]
 pub struct MergeArguments {
@@ -94,6 +99,9 @@ fn joined(first: &Path, others: &[PathBuf], path: &Path, arguments: &MergeArgume
     for other in others {
         let (back, added) = join(file, other, arguments)?;
         file = back;
+        if let Some(warning) = added.warning.as_ref().filter(|_| !arguments.quiet) {
+            console::warn(warning);
+        }
         summary += &format!(
             "{}: {} keyframes, seen again in {} places{}\n",
             console::name(other),
@@ -126,6 +134,8 @@ struct Added {
     merged: slam::Merged,
     /// Side of a ground pixel of its mosaic, if it has one.
     mosaic_m: Option<f64>,
+    /// A warning that its metres are not those of the others.
+    warning: Option<String>,
 }
 
 /// Joins one more map.
@@ -141,9 +151,28 @@ fn join(mut file: MapFile, path: &Path, arguments: &MergeArguments) -> Result<(M
             arguments.maps[0].display()
         )));
     }
-    // Its sessions get the next free numbers.
+    let there = sessions_there(&mut file, &map, &mut other, &added)?;
+    let all = other.sessions()?;
+    if !there.is_empty() && there.len() == all.len() {
+        return Err(Error::input(format!(
+            "every session of {} is in {} already; there is nothing to join",
+            path.display(),
+            before_it(arguments)
+        )));
+    }
+    if !there.is_empty() && !arguments.quiet {
+        let sources: Vec<String> = there.iter().map(|session| console::source(&session.source)).collect();
+        console::note(&format!(
+            "{} of {} is in {} already, and is left out",
+            sources.join(", "),
+            console::name(path),
+            before_it(arguments)
+        ));
+    }
+    added.keyframes.retain(|keyframe| there.iter().all(|session| session.id != keyframe.session));
+    // The others get the next free numbers.
     let mut sessions = Vec::new();
-    for session in other.sessions()? {
+    for session in all.into_iter().filter(|session| !there.contains(session)) {
         sessions.push((session.id, file.begin_session(&session.source)?));
     }
     for keyframe in &mut added.keyframes {
@@ -151,12 +180,13 @@ fn join(mut file: MapFile, path: &Path, arguments: &MergeArguments) -> Result<(M
         keyframe.session = new.map_or(keyframe.session, |(_, new)| *new);
     }
     for (old, mask) in std::mem::take(&mut added.masks) {
-        let new = sessions.iter().find(|(session, _)| *session == old);
-        let new = new.map_or(old, |(_, new)| *new);
+        let Some((_, new)) = sessions.iter().find(|(session, _)| *session == old).copied() else { continue };
         file.set_mask(new, Some(&mask))?;
         added.masks.insert(new, mask);
     }
     let before = added.keyframes.clone();
+    let height_m = other.rig().height_m;
+    let places = KnownPlaces::new(&map);
     let mut odometry = OdometryConfig::default();
     odometry.motion.model = arguments.motion.into();
     let beginning = file.next_keyframe()?;
@@ -171,13 +201,21 @@ fn join(mut file: MapFile, path: &Path, arguments: &MergeArguments) -> Result<(M
     mapper.remember_sightings(here);
     let merged = slam::merge(&mut mapper, &mut store, &added, &mut other, &common)?;
     if merged.loops + merged.markers == 0 {
-        let earlier = if arguments.maps.len() > 2 { "the maps before it" } else { "the other" };
         return Err(Error::input(format!(
-            "no ground of {} was recognised in {earlier}, so their relative position is not known; a \
+            "no ground of {} was recognised in {}, so their relative position is not known; a \
              drive over ground of both, with run --map, connects them",
-            path.display()
+            path.display(),
+            before_it(arguments)
         )));
     }
+    let scale = places.scale_of(&before, beginning, mapper.closures());
+    let warning = scale.filter(SessionScale::is_doubtful).map(|scale| {
+        let camera = other_height(&format!("the camera of {}", console::name(path)), &scale, height_m);
+        format!(
+            "by the ground that was recognised in {} {camera}: check height and focal length of both maps",
+            before_it(arguments)
+        )
+    });
     let mut file = store.file;
     let keyframes = &mapper.map().keyframes;
     let poses: Vec<_> = keyframes.iter().map(|k| (k.id, k.pose, k.covariance)).collect();
@@ -199,7 +237,124 @@ fn join(mut file: MapFile, path: &Path, arguments: &MergeArguments) -> Result<(M
             .collect();
         file.set_path(new, &corrected_path(&other.path_of(old)?, &moves))?;
     }
-    Ok((file, Added { merged, mosaic_m }))
+    Ok((file, Added { merged, mosaic_m, warning }))
+}
+
+/// What a map is joined to, in a sentence.
+fn before_it(arguments: &MergeArguments) -> String {
+    match arguments.maps.as_slice() {
+        [first, _] => console::name(first),
+        _ => "the maps before it".to_owned(),
+    }
+}
+
+/// The sessions of the other map that the map has already: of the same source and robot, with all
+/// of their keyframes.
+fn sessions_there(
+    file: &mut MapFile,
+    map: &GroundMap,
+    other: &mut MapFile,
+    added: &GroundMap,
+) -> Result<Vec<Session>> {
+    let here = file.sessions()?;
+    let mut there = Vec::new();
+    for session in other.sessions()? {
+        let own: Vec<&MapKeyframe> = of_session(added, session.id).collect();
+        let is_same = |known: &&Session| known.source == session.source && known.origin == session.origin;
+        for known in here.iter().filter(is_same) {
+            if !own.is_empty() && has_all(file, map, known.id, other, &own)? {
+                there.push(session);
+                break;
+            }
+        }
+    }
+    Ok(there)
+}
+
+fn of_session(map: &GroundMap, session: u32) -> impl Iterator<Item = &MapKeyframe> {
+    map.keyframes.iter().filter(move |keyframe| keyframe.session == session)
+}
+
+/// Heights within this fraction are of the same run: optimisation moves them by less, and less than
+/// this does not bend a map.
+const SAME_HEIGHT: f64 = 0.005;
+
+/// Whether a session of the map has all these keyframes of the other one. A recording that is run
+/// again has frames of the same numbers and times: the heights, which differ where it was given
+/// another, and the first and the last image are compared, too.
+fn has_all(
+    file: &mut MapFile,
+    map: &GroundMap,
+    session: u32,
+    other: &mut MapFile,
+    own: &[&MapKeyframe],
+) -> Result<bool> {
+    let equal = |one: &MapKeyframe| {
+        of_session(map, session).find(|known| {
+            // What was joined before has the pose in its own map as that of its odometry.
+            let height_m = known.odometry_pose.height_m;
+            known.frame == one.frame
+                && known.time_s.to_bits() == one.time_s.to_bits()
+                && [one.odometry_pose.height_m, one.pose.height_m]
+                    .iter()
+                    .any(|own_m| (own_m / height_m - 1.0).abs() < SAME_HEIGHT)
+        })
+    };
+    let Some(known) = own.iter().map(|one| equal(one)).collect::<Option<Vec<_>>>() else { return Ok(false) };
+    for at in [0, own.len() - 1] {
+        if file.load(known[at].id)? != other.load(own[at].id)? {
+            return Ok(false);
+        }
+    }
+    Ok(true)
+}
+
+/// What the ground of a map is recognised by, before another one is joined to it.
+struct KnownPlaces {
+    index: PlaceIndex,
+}
+
+/// Least standard deviation of the logarithm of the scale at one place, as for a run that continues
+/// a map: what its matched features do not show.
+const PLACE_DEVIATION: f64 = 0.002;
+
+/// Standard deviation of the median over that of the mean, and standard deviation over the median
+/// absolute deviation, both for the normal distribution.
+const MEDIAN_OVER_MEAN: f64 = 1.2533;
+const DEVIATION_OF_MEDIAN: f64 = 1.4826;
+
+impl KnownPlaces {
+    fn new(map: &GroundMap) -> Self {
+        let mut index = PlaceIndex::new(&PlacesConfig::new(&map.camera, map.rig.first_pose().height_m));
+        map.keyframes.iter().for_each(|keyframe| index.insert(keyframe.id, &keyframe.signature));
+        Self { index }
+    }
+
+    /// Metres of the map over metres of another one, by those of the other one's keyframes that
+    /// closed loops; `None` if no place shows a scale. The signatures are by the metres of the
+    /// other map, and the loops are by those of this one.
+    fn scale_of(
+        &self,
+        added: &[MapKeyframe],
+        beginning: KeyframeId,
+        closures: &[LoopClosure],
+    ) -> Option<SessionScale> {
+        let is_closed = |keyframe: &&MapKeyframe| {
+            closures.iter().any(|closure| closure.edge.from.0 == beginning.0 + keyframe.id.0)
+        };
+        let places = added.iter().filter(is_closed).filter_map(|keyframe| {
+            let place = self.index.query(&keyframe.signature, 1).into_iter().find(|place| place.is_sure())?;
+            place.ln_scale_deviation.is_finite().then_some((place.motion.w, place.ln_scale_deviation))
+        });
+        let (mut ln_ratios, mut deviations): (Vec<f64>, Vec<f64>) = places.unzip();
+        let middle = median(&mut ln_ratios)?;
+        let mut off: Vec<f64> = ln_ratios.iter().map(|ln_ratio| (ln_ratio - middle).abs()).collect();
+        let spread = DEVIATION_OF_MEDIAN * median(&mut off)?;
+        let usual = median(&mut deviations)?.max(PLACE_DEVIATION);
+        let count = ln_ratios.len();
+        let deviation = middle.exp() * MEDIAN_OVER_MEAN * spread.max(usual) / (count as f64).sqrt();
+        Some(SessionScale { ratio: middle.exp(), deviation, places: count })
+    }
 }
 
 /// The markers of both maps, numbered through: those of two families or sizes are never the same.

@@ -2,12 +2,14 @@
 
 use crate::{Outcome, console};
 use odograph::error::{Error, Result};
-use odograph_map::MapFile;
+use odograph_map::{MapFile, MosaicLayer};
 use std::path::{Path, PathBuf};
 
 /// Remove redundant keyframes from a map.
 ///
 /// Those whose ground others show too. Their edges are merged, so that the map stays connected.
+/// With --max-size the mosaic is made coarser first, or left out: `odograph map mosaic` renders it
+/// again from the keyframes.
 #[derive(Debug, clap::Args)]
 #[command(after_help = EXAMPLES)]
 pub struct ThinArguments {
@@ -52,6 +54,7 @@ fn size(text: &str) -> std::result::Result<u64, String> {
 pub fn thin(arguments: &ThinArguments) -> Result<Outcome> {
     let mut file = MapFile::open(&arguments.map)?;
     let (before, _) = file.image_bytes()?;
+    let mosaic_before = file.mosaic()?;
     let ground_kept = match (arguments.max_keyframes, arguments.max_size) {
         (Some(most), _) => {
             let thinning = file.thin(most)?;
@@ -62,8 +65,12 @@ pub fn thin(arguments: &ThinArguments) -> Result<Outcome> {
         (None, None) => 1.0,
     };
     let (kept, _) = file.image_bytes()?;
+    let mosaic = file.mosaic()?;
     file.close()?;
     if !arguments.quiet {
+        if let Some(reduced) = reduced(mosaic_before.as_ref(), mosaic.as_ref(), &arguments.map) {
+            console::print(&format!("{reduced}\n"))?;
+        }
         console::print(&format!(
             "{kept} of {before} keyframes kept, {:.1} % of the ground, {:.1} MB\n",
             100.0 * ground_kept,
@@ -73,11 +80,58 @@ pub fn thin(arguments: &ThinArguments) -> Result<Outcome> {
     Ok(Outcome::Done)
 }
 
+/// Says what became of the mosaic; `None` where it is as before.
+fn reduced(before: Option<&MosaicLayer>, after: Option<&MosaicLayer>, map: &Path) -> Option<String> {
+    let before = before.filter(|before| after != Some(before))?;
+    let path = console::name(map);
+    Some(match after {
+        Some(after) => format!(
+            "the mosaic has pixels of {:.2} mm now instead of {:.2} mm; odograph map mosaic {path} renders it again",
+            1e3 * after.resolution_m,
+            1e3 * before.resolution_m
+        ),
+        None => format!("the mosaic was left out; odograph map mosaic {path} renders it again"),
+    })
+}
+
+/// Largest share of the requested size that the mosaic may have where keyframes are removed: it can
+/// be rendered again, and they cannot.
+const MOSAIC_SHARE: f64 = 0.05;
+
+/// Fails where neither images nor mosaic take the space that is too much.
+fn check_possible(file: &MapFile, most: u64) -> Result<()> {
+    let removable = file.image_bytes()?.1 + file.mosaic_bytes()?;
+    match bytes(file.path())?.saturating_sub(removable) {
+        rest if rest >= most => Err(too_small(file, rest, most)),
+        _ => Ok(()),
+    }
+}
+
+fn too_small(file: &MapFile, rest: u64, most: u64) -> Error {
+    Error::input(format!(
+        "{}: even without images the map has {rest} bytes (paths and signatures); allow more than {most}",
+        file.path().display()
+    ))
+}
+
+/// Makes the mosaic coarser until the file is small enough, or the mosaic is a small part of the
+/// requested size, or gone.
+fn coarsen_to_size(file: &mut MapFile, most: u64) -> Result<()> {
+    file.compact()?;
+    // A map that cannot be made that small stays as it is.
+    check_possible(file, most)?;
+    while bytes(file.path())? > most && file.mosaic_bytes()? as f64 > MOSAIC_SHARE * most as f64 {
+        file.coarsen_mosaic()?;
+        file.compact()?;
+    }
+    Ok(())
+}
+
 /// Thins until the file is small enough; keyframes differ in size, so that this may take several
 /// passes. The share of the ground that is kept is the product over the passes.
 fn thin_to_size(file: &mut MapFile, most: u64) -> Result<f64> {
     let mut ground_kept = 1.0;
-    file.compact()?;
+    coarsen_to_size(file, most)?;
     loop {
         let size = bytes(file.path())?;
         if size <= most {
@@ -86,11 +140,7 @@ fn thin_to_size(file: &mut MapFile, most: u64) -> Result<f64> {
         let (keyframes, images) = file.image_bytes()?;
         let rest = size - images.min(size);
         if keyframes == 0 || rest >= most {
-            return Err(Error::input(format!(
-                "{}: even without images the map has {rest} bytes (paths, mosaic and signatures); allow \
-                 more than {most}, or render a coarser mosaic first",
-                file.path().display()
-            )));
+            return Err(too_small(file, rest, most));
         }
         let share = (most - rest) as f64 / images as f64;
         let fewer = ((keyframes as f64 * share) as u64).min(keyframes - 1);

@@ -2,6 +2,8 @@
 
 use crate::program::{done, done_once};
 use odograph::geometry::Pixel;
+use odograph::ground_map::MountedCamera;
+use odograph::keyframe::EdgeKind;
 use odograph_map::MapFile;
 use std::fs;
 use std::path::Path;
@@ -193,6 +195,54 @@ fn an_image_is_localised_without_changing_the_map() {
     assert_eq!(grown.status.code(), Some(0), "{}", String::from_utf8_lossy(&grown.stderr));
     let sessions = MapFile::open_read_only(&folder.path().join("out/map.gpkg")).unwrap().sessions().unwrap();
     assert_eq!(sessions.len(), 2);
+}
+
+#[test]
+fn every_camera_of_a_map_is_recognised_and_continues_it() {
+    let folder = tempfile::tempdir().unwrap();
+    let place = folder.path();
+    let simulate =
+        "simulate --path straight --length 1.2 --speed 1 --fps 20 --texture asphalt --seed 3 --quiet";
+    for (name, view) in
+        [("a", "--size 320x240 --height 0.8"), ("b", "--size 400x300 --height 0.9"), ("c", "--size 360x280")]
+    {
+        assert_eq!(odograph(&format!("{simulate} {view} -o {name}"), place), (0, String::new()));
+    }
+    let run = |name: &str, more: &str| {
+        let camera =
+            format!("--timestamps {name}/frames.txt --camera {name}/camera.yaml --rig {name}/rig.toml");
+        odograph(&format!("run {name}/frames {camera} --quiet {more}"), place)
+    };
+    assert_eq!(run("a", "-o out-a"), (0, String::new()));
+    assert_eq!(run("b", "-o out-b"), (0, String::new()));
+    // A session of the second camera, as a site makes one.
+    let there = MapFile::open_read_only(&place.join("out-b/map.gpkg")).unwrap();
+    let mounted = MountedCamera { camera: there.camera().clone(), rig: *there.rig() };
+    let mut map = MapFile::open(&place.join("out-a/map.gpkg")).unwrap();
+    map.begin_session_with("elsewhere", &mounted).unwrap();
+    map.close().unwrap();
+    // A picture of either camera is found, and a run with either continues the map.
+    for name in ["a", "b"] {
+        let picture = format!("{name}/frames/000010.png");
+        let found = odograph(&format!("localize {picture} --map out-a/map.gpkg"), place);
+        assert_eq!(found.0, 0, "{found:?}");
+    }
+    // The mount is that of the camera's session, too.
+    let continued =
+        "run b/frames --timestamps b/frames.txt --camera b/camera.yaml --quiet --map out-a/map.gpkg -o out-c";
+    assert_eq!(odograph(continued, place), (0, String::new()));
+    let map = MapFile::open_read_only(&place.join("out-a/map.gpkg")).unwrap();
+    let session = map.sessions().unwrap().last().unwrap().id;
+    assert_eq!((session, map.camera_of(session)), (2, &mounted.camera));
+    assert!(map.map().unwrap().edges.iter().any(|edge| edge.kind == EdgeKind::Loop));
+    drop(map);
+    let refused = run("c", "--map out-a/map.gpkg -o out-d");
+    assert!(
+        refused.0 == 3 && refused.1.contains("was made with another camera than this run's"),
+        "{refused:?}"
+    );
+    let refused = odograph("localize c/frames/000010.png --map out-a/map.gpkg", place);
+    assert!(refused.0 == 3 && refused.1.contains("are 360x280 but the map was made"), "{refused:?}");
 }
 
 #[test]

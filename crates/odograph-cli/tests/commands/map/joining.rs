@@ -51,14 +51,19 @@ fn tie(from: usize, to: usize, kind: EdgeKind, motion: Vector4<f64>) -> MapEdge 
 /// A map of the images from the poses `truth`, with keyframes and one frame of the trajectory at
 /// the poses `known`, and the given edges.
 fn map_of(path: &Path, truth: &[GroundPose], known: &[GroundPose], edges: &[MapEdge]) {
+    map_with(path, HEIGHT_M, truth, known, edges);
+}
+
+/// The same with a rig of this height.
+fn map_with(path: &Path, height_m: f64, truth: &[GroundPose], known: &[GroundPose], edges: &[MapEdge]) {
     let camera = camera();
     let renderer = Renderer::new(&camera);
-    let mut map = MapFile::create(path, &camera, &Rig::level(HEIGHT_M)).unwrap();
+    let mut map = MapFile::create(path, &camera, &Rig::level(height_m)).unwrap();
     let session = map.begin_session(path.file_name().unwrap().to_str().unwrap()).unwrap();
     let mut frames = Vec::new();
     for (number, (truth, known)) in truth.iter().zip(known).enumerate() {
         let gray = renderer.gray_view(&GROUND, truth);
-        let config = PlacesConfig::new(&camera, HEIGHT_M);
+        let config = PlacesConfig::new(&camera, height_m);
         let keyframe = MapKeyframe {
             id: KeyframeId(number as u64),
             session,
@@ -155,6 +160,69 @@ fn overlapping_maps_are_merged() {
     left.sort();
     assert_eq!(left, ["a.gpkg", "b.gpkg", "c.gpkg", "far.gpkg", "small.gpkg"]);
     assert_eq!(fs::read(at("c.gpkg")).unwrap(), whole, "what failed left what was there");
+}
+
+#[test]
+fn sessions_that_are_there_already_are_left_out() {
+    let folder = tempfile::tempdir().unwrap();
+    let at = |name: &str| folder.path().join(name);
+    drive(&at("a.gpkg"), &way((0.0, 0.0), 0.0, 9));
+    drive(&at("b.gpkg"), &way((2.3, 0.4), -2.7, 9));
+    fs::copy(at("a.gpkg"), at("copy.gpkg")).unwrap();
+    let merge = |maps: [&str; 2], output: &str| {
+        text(&odograph(&["merge", maps[0], maps[1], "-o", output], folder.path()))
+    };
+    assert_eq!(merge(["a.gpkg", "b.gpkg"], "c.gpkg").0, 0);
+    // A copy, and maps that the first one contains.
+    for maps in [["a.gpkg", "copy.gpkg"], ["c.gpkg", "a.gpkg"], ["c.gpkg", "b.gpkg"]] {
+        let (code, message, complaint) = merge(maps, "d.gpkg");
+        assert_eq!((code, message.as_str()), (3, ""), "{complaint}");
+        let sentence = format!("every session of {} is in {} already", maps[1], maps[0]);
+        assert!(complaint.contains(&sentence) && complaint.lines().count() == 1, "{complaint}");
+        assert!(!at("d.gpkg").exists());
+    }
+    // A map that contains the first one: only what is new is joined.
+    let (code, message, told) = merge(["b.gpkg", "c.gpkg"], "d.gpkg");
+    assert_eq!(code, 0, "{told}");
+    assert!(message.starts_with("c.gpkg: 9 keyframes, "), "{message}");
+    assert!(told.contains("note: b.gpkg of c.gpkg is in b.gpkg already, and is left out"), "{told}");
+    let joined = MapFile::open_read_only(&at("d.gpkg")).unwrap();
+    let sources: Vec<_> = joined.sessions().unwrap().into_iter().map(|session| session.source).collect();
+    assert_eq!(
+        (sources, joined.map().unwrap().keyframes.len()),
+        (vec!["b.gpkg".into(), "a.gpkg".into()], 18)
+    );
+}
+
+#[test]
+fn a_map_with_other_metres_is_named_when_it_is_merged() {
+    let folder = tempfile::tempdir().unwrap();
+    let at = |name: &str| folder.path().join(name);
+    fs::create_dir(at("again")).unwrap();
+    drive(&at("a.gpkg"), &way((0.0, 0.0), 0.0, 9));
+    // All lengths of this map are 5 % too long, as with a height of 0.788 m.
+    let second = way((2.3, 0.4), -2.7, 9);
+    let longer = |pose: &GroundPose| GroundPose {
+        x_m: 1.05 * pose.x_m,
+        y_m: 1.05 * pose.y_m,
+        height_m: 1.05 * pose.height_m,
+        ..*pose
+    };
+    let first = compose(&GroundPose::level(HEIGHT_M), &relative_motion(&second[0], &second[0]), 1.0);
+    let known: Vec<_> =
+        second.iter().map(|pose| longer(&compose(&first, &relative_motion(&second[0], pose), 1.0))).collect();
+    let edges: Vec<_> = (1..known.len())
+        .map(|i| tie(i - 1, i, EdgeKind::Odometry, relative_motion(&known[i - 1], &known[i])))
+        .collect();
+    map_with(&at("b.gpkg"), 1.05 * HEIGHT_M, &second, &known, &edges);
+    let (code, _, told) = text(&odograph(&["merge", "a.gpkg", "b.gpkg", "-o", "c.gpkg"], folder.path()));
+    assert_eq!(code, 0, "{told}");
+    // So is the same recording, run again with another height: it is not the same session.
+    map_with(&at("again/a.gpkg"), 1.05 * HEIGHT_M, &way((0.0, 0.0), 0.0, 9), &known, &edges);
+    let again = text(&odograph(&["merge", "a.gpkg", "again/a.gpkg", "-o", "d.gpkg"], folder.path()));
+    assert!(again.0 == 0 && again.2.contains(" m above it, not 0.788 m: check height"), "{again:?}");
+    let sentence = "warning: by the ground that was recognised in a.gpkg the camera of b.gpkg was 0.75";
+    assert!(told.starts_with(sentence) && told.contains(" m above it, not 0.788 m: check height"), "{told}");
 }
 
 #[test]

@@ -306,6 +306,50 @@ fn thinning_makes_a_map_smaller() {
 }
 
 #[test]
+fn the_mosaic_is_reduced_before_keyframes_are_removed() {
+    let folder = made();
+    let path = folder.path().join("map.gpkg");
+    let mut map = MapFile::open(&path).unwrap();
+    map.render_mosaic(Some(0.001), &mut |_| true).unwrap();
+    let mosaic = map.mosaic_bytes().unwrap();
+    map.close().unwrap();
+    let size = || fs::metadata(&path).unwrap().len();
+    let thin = |most: u64| {
+        let (code, message, told) =
+            text(&odograph(&["thin", "map.gpkg", "--max-size", &format!("{most}B")], folder.path()));
+        assert_eq!(code, 0, "{told}");
+        assert!(size() <= most, "{message}");
+        assert_eq!(told, "");
+        message
+    };
+    // A coarser picture is enough.
+    let message = thin(size() - mosaic / 2);
+    assert!(message.contains("\n12 of 12 keyframes kept, 100.0 % of the ground"), "{message}");
+    assert!(
+        message.starts_with(
+            "the mosaic has pixels of 2.00 mm now instead of 1.00 mm; odograph map mosaic map.gpkg"
+        ),
+        "{message}"
+    );
+    let mut map = MapFile::open_read_only(&path).unwrap();
+    map.check().unwrap();
+    let layer = map.mosaic().unwrap().unwrap();
+    let picture = map.mosaic_picture(usize::MAX).unwrap().unwrap();
+    assert_eq!((picture.width as u64, layer.resolution_m), (layer.picture_at(layer.finest).0, 0.002));
+    // Without any picture there is room for all keyframes.
+    let rest = size() - map.mosaic_bytes().unwrap();
+    drop(map);
+    let message = thin(rest + 20_000);
+    assert!(message.contains("\n12 of 12 keyframes kept"), "{message}");
+    assert!(message.starts_with("the mosaic "), "{message}");
+    // Only then keyframes go.
+    let message = thin(8 * rest / 10);
+    assert!(!message.contains("12 of 12"), "{message}");
+    MapFile::open(&path).unwrap().check().unwrap();
+    assert_eq!(text(&odograph(&["mosaic", "map.gpkg"], folder.path())).0, 0);
+}
+
+#[test]
 fn a_damaged_map_is_repaired() {
     let folder = made();
     let path = folder.path().join("map.gpkg");
