@@ -122,10 +122,10 @@ impl AbruptMotion {
         };
         let standing = self.waypoints[..last].iter().rev().take_while(|at| is_frozen(at)).count();
         let Some(first) = self.waypoints.get(last - standing).filter(|_| standing > 0) else { return };
-        for at in last - standing..=last {
-            let here = &self.waypoints[at];
+        let frozen = last - standing..=last;
+        for (here, deviation) in self.waypoints[frozen.clone()].iter().zip(&mut deviations[frozen]) {
             let share = (here.time_s - first.time_s) / (next.time_s - first.time_s);
-            deviations[at] = Some(first.place + share * (next.place - first.place) - here.place);
+            *deviation = Some(first.place + share * (next.place - first.place) - here.place);
         }
     }
 }
