@@ -154,8 +154,8 @@ impl GnssRecord {
     }
 }
 
-/// Magnitude of an estimated clock offset above which the receiver's times are doubted, seconds: five
-/// times what synchronised clocks may differ by, and all that a stated start may be off by.
+/// Magnitude of an estimated clock offset above which the receiver's times are doubted, seconds:
+/// five times what synchronised clocks may differ by, and all that a stated start may be off by.
 const DOUBTED_OFFSET_S: f64 = 1.0;
 
 /// Fraction of the positions with a path at their times that may be unused; of more, the times are

@@ -83,7 +83,7 @@ pub(super) fn open_with_frames(path: &Path, name: Option<&str>) -> Result<(Box<d
 const UNREAD_FOXGLOVE: &str = "; Foxglove's images are read in Protocol Buffers, and not in JSON, as odograph live --mcap writes \
                                them: give the recording that they were made of";
 
-/// Whether a topic has images of Foxglove in JSON, of which only those in Protocol Buffers are read.
+/// Whether a topic has images of Foxglove in JSON; only those in Protocol Buffers are read.
 fn is_unread_foxglove(topic: &Topic) -> bool {
     let is_image = ["foxglove.CompressedImage", "foxglove.RawImage", "foxglove.CompressedVideo"]
         .contains(&topic.type_name.as_str());

@@ -46,10 +46,10 @@ pub fn guess_format(text: &str) -> Result<TrajectoryFormat> {
 /// Reads a TUM trajectory.
 ///
 /// Values are separated by white space, commas or both; empty lines and lines that start with `#`
-/// are skipped; where comments before the first pose name the columns of a pose, these are read, and
-/// others ignored. Quaternions are normalised. Fails, naming the line, if a line does not have eight
-/// finite numbers, a quaternion is zero, or a time is not later than the one before. Also fails if
-/// there is no pose.
+/// are skipped; where comments before the first pose name the columns of a pose, these are read,
+/// and others ignored. Quaternions are normalised. Fails, naming the line, if a line does not have
+/// eight finite numbers, a quaternion is zero, or a time is not later than the one before. Also
+/// fails if there is no pose.
 pub fn parse_tum(text: &str) -> Result<Trajectory> {
     let mut poses: Vec<StampedPose> = Vec::new();
     let named = NamedColumns::of(text);
