@@ -246,14 +246,14 @@ impl<'a> GivenCamera<'a> {
                 if let Some(recorded) = recorded_rig(path, topic.as_deref(), Some(*height_m), observer)? {
                     return Ok(recorded);
                 }
-                match self.rig_in_map(builder)? {
-                    // The height alone says nothing of the rest of the mount.
-                    Some(there) if (Rig { height_m: *height_m, ..there }) != level => {
-                        note_kept_mount(&there, observer);
-                        Rig { height_m: *height_m, ..there }.validated()
-                    }
-                    _ => Ok(level),
-                }
+                // The height alone does not say whose poses the map has. Without a lever arm they
+                // are the camera's, and its tilt is estimated as without a map.
+                let there = self.rig_in_map(builder)?;
+                let Some((there, arm)) = there.and_then(|rig| Some((rig, rig.lever_arm?))) else {
+                    return Ok(level);
+                };
+                note_kept_mount(&there, arm, observer);
+                Rig { height_m: *height_m, ..there }.validated()
             }
             // The field of view already gives the scale. The height is that of a lens of 53°: from
             // a fixed height a field of 120 m would be seen by a lens that cannot be tracked.
@@ -300,15 +300,12 @@ fn has_same_lens(one: &Camera, other: &Camera) -> bool {
 }
 
 /// Tells that what a height alone does not say of a mount is as in the map.
-fn note_kept_mount(rig: &Rig, observer: &dyn Observer) {
-    let arm = rig.lever_arm.map_or_else(String::new, |LeverArm { x_m, y_m, z_m }| {
-        let [x_m, y_m, z_m] = [x_m, y_m, z_m].map(Rounded);
-        format!("x {x_m:.3} m, y {y_m:.3} m, z {z_m:.3} m, ")
-    });
+fn note_kept_mount(rig: &Rig, LeverArm { x_m, y_m, z_m }: LeverArm, observer: &dyn Observer) {
+    let [x_m, y_m, z_m] = [x_m, y_m, z_m].map(Rounded);
     let [roll, pitch, yaw] =
         [rig.roll_rad, rig.pitch_rad, rig.yaw_rad].map(|angle_rad| Rounded(angle_rad.to_degrees()));
     observer.note(&format!(
-        "the height is the given one, the rest of the mount that of the map: {arm}roll {roll:.1}°, pitch {pitch:.1}°, \
-         yaw {yaw:.1}° (--rig overrides)"
+        "the height is the given one, the rest of the mount that of the map: x {x_m:.3} m, y {y_m:.3} m, z {z_m:.3} m, \
+         roll {roll:.1}°, pitch {pitch:.1}°, yaw {yaw:.1}° (--rig overrides)"
     ));
 }
