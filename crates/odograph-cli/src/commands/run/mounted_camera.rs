@@ -19,8 +19,8 @@ pub struct CameraSetup {
     pub camera: Option<PathBuf>,
     /// Height of the camera above the ground, as 0.9 (metres), 90cm or 3ft.
     ///
-    /// The camera is taken to look straight down; a tilt is found in the recording. Where a map with a
-    /// lever arm is continued, the rest of the mount is that of the map.
+    /// The camera is taken to look straight down; a tilt is found in the recording. Where a map
+    /// with a lever arm is continued, the rest of the mount is that of the map.
     #[arg(help_heading = "Camera", long, value_name = "LENGTH", value_parser = lengths::height, allow_negative_numbers = true, conflicts_with = "rig")]
     pub height: Option<Height>,
     /// Rig file (TOML): height_m, roll_deg, pitch_deg, yaw_deg; x_m, y_m, z_m.
