@@ -35,9 +35,11 @@ pub(super) fn observations(
         }
         let covariance_px2 = found.covariance_px2;
         let keyframe_row_fraction = keyframe.shutter.row_fraction(corner.template.centre().y);
-        let variance_m2 = if corner.is_on_new_ground { relief_m2 + new_ground_m2 } else { relief_m2 };
-        let unknown = Elevation { mean_m: corner.patch.elevation_m, variance_m2 };
-        let elevation = corner.elevation.unwrap_or(unknown);
+        let unknown = Elevation { mean_m: corner.patch.elevation_m, variance_m2: relief_m2 };
+        let mut elevation = corner.elevation.unwrap_or(unknown);
+        if corner.is_on_new_ground {
+            elevation.variance_m2 += new_ground_m2;
+        }
         if let Some((_, shutter)) = shutter {
             pixel = shutter.global_pixel(camera, pose, pixel, elevation.mean_m).unwrap_or(pixel);
         }
