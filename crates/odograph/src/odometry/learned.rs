@@ -281,9 +281,10 @@ impl Learned {
         }
     }
 
-    /// The residual of the inliers of the last frames, pixels; `None` before any was measured.
-    pub fn usual_residual_px(&self) -> Option<f64> {
-        self.residual_px
+    /// Whether the last frames fitted the ground as it is known. A wrong lens is like curved ground,
+    /// but leaves residuals on known ground, too.
+    pub fn fits_ground(&self) -> bool {
+        self.residual_px.is_some_and(|usual_px| usual_px < EXACT_PX)
     }
 
     /// The part of the corners in view that usually agrees, 0 to 1.
@@ -298,3 +299,7 @@ impl Learned {
         self.inlier_ratio.map_or(1.0, |usual| (usual / ALL_FOUND_INLIER_RATIO).min(1.0))
     }
 }
+
+/// Where the ground as it is known left less than this, pixels, it was that. Half of what a frame
+/// must be off by to show a kerb.
+const EXACT_PX: f64 = 0.05;

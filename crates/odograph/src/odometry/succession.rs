@@ -98,7 +98,7 @@ impl Odometry {
         next.by_mount_tilt = by_mount_tilt;
         let relief_m2 = self.learned.relief_m2();
         next.set_surface(self.keyframe.as_ref().and_then(|before| before.surface_now(relief_m2)));
-        if let Some(before) = &self.keyframe {
+        if let Some(before) = self.keyframe.as_ref().filter(|_| self.learned.fits_ground()) {
             next.set_seen_before(&before.pose);
         }
         self.expose(&mut next, estimate);

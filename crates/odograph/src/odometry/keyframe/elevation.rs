@@ -80,7 +80,7 @@ impl Keyframe {
         }
     }
 
-    /// Sets from where the keyframe before saw the ground.
+    /// Sets from where the keyframe before saw the ground, which is known.
     pub fn set_seen_before(&mut self, from: &GroundPose) {
         self.seen_before_from = Some(ViewingPose::new(*from));
     }
@@ -105,7 +105,7 @@ impl Keyframe {
             corner.forget_elevations();
             corner.is_on_kerb = false;
         });
-        self.shape = None;
+        (self.shape, self.new_ground_is_kerb) = (None, false);
         self.project_again(camera);
     }
 

@@ -76,9 +76,7 @@ impl PoseFit<'_> {
         let flat = self.fit(known);
         let is_flat = known.relief_m2 == 0.0;
         let is_poor = flat.as_ref().is_none_or(|flat| flat.residual_px > POOR_PX);
-        // A wrong lens is like curved ground, but leaves residuals on known ground, too.
-        let was_exact = learned.usual_residual_px().is_some_and(|usual_px| usual_px < EXACT_PX);
-        let may_rise = is_flat && was_exact && keyframe.may_leave_plane();
+        let may_rise = keyframe.may_leave_plane();
         let highest_m2 = (MAX_KERB_HEIGHT * keyframe.pose.height_m).powi(2);
         if may_rise && (is_poor || new_ground_disagrees(keyframe, self.found, flat.as_ref())) {
             let raised = GroundHypothesis { new_ground_m2: highest_m2, ..known };
@@ -200,9 +198,6 @@ impl PoseFit<'_> {
 /// Where tracks of flat ground are off by more than this, pixels, it may not be flat, or the
 /// shutter rolls, or images are blurred.
 const POOR_PX: f64 = 0.1;
-
-/// Where the plane left less than this, pixels, it was the plane.
-const EXACT_PX: f64 = 0.5 * POOR_PX;
 
 /// Factors by which a freer model must lower the residual.
 struct UnevenFactors {
