@@ -7,8 +7,8 @@ use super::patch::{AREA, Samples, sample_products};
 use super::template::Template;
 use super::{FlowConfig, Warp};
 use crate::geometry::Pixel;
-use crate::image::Pyramid;
 use crate::image::simd::plane_and_energy;
+use crate::image::{GrayImage, Pyramid};
 use nalgebra::{Matrix2, Vector2};
 
 /// A tracked template.
@@ -55,15 +55,19 @@ pub fn track(
 ) -> Result<Track, TrackFailure> {
     let mut shift = Vector2::zeros(); // pixels of the full image
     let mut last = None;
+    let centre = Vector2::new(template.centre().x, template.centre().y);
     let levels = levels_for(uncertainty_px, template.levels().min(image.levels()));
     for level in (0..levels).rev() {
         let scale = (1usize << level) as f64;
         // A coarse level only has to reach the convergence radius of the next.
         let step_px = if level == 0 { config.step_px } else { config.step_px.max(COARSE_STEP_PX) * scale };
         let Some(patch) = template.level(level) else { continue };
-        let result =
-            search(patch, level, template.centre(), image, prediction, shift, config.iterations, step_px);
-        match result {
+        // The patch of this level is centred between pixels of its level, slightly off the
+        // template's centre.
+        let expected = prediction.at(patch.centre * scale - centre);
+        let (image, linear, iterations) = (image.level(level), &prediction.linear, config.iterations);
+        let search = LevelSearch { patch, image, scale, expected, linear, iterations, step_px };
+        match search.improve(shift) {
             Ok((level_shift, there)) => {
                 // A poor match on a coarse level must not mislead the finer ones.
                 if level == 0 || there < config.dissimilarity {
@@ -103,63 +107,64 @@ fn levels_for(uncertainty_px: f64, available: usize) -> usize {
     levels
 }
 
-/// One level of [`track`] for a template around the keyframe point `centre`: the improved shift
-/// (pixels of the full image) and the dissimilarity there.
-fn search(
-    patch: &LevelTemplate,
-    level: usize,
-    centre: Pixel,
-    image: &Pyramid,
-    prediction: &Warp,
-    mut shift: Vector2<f64>,
+/// One level of [`track`].
+struct LevelSearch<'a> {
+    patch: &'a LevelTemplate,
+    image: &'a GrayImage,
+    /// Pixels of the full image over those of the level: 1 on the finest.
+    scale: f64,
+    /// Where the centre of the patch is predicted, pixels of the full image.
+    expected: Vector2<f64>,
+    linear: &'a Matrix2<f64>,
     iterations: usize,
     step_px: f64,
-) -> Result<(Vector2<f64>, f64), TrackFailure> {
-    let scale = (1usize << level) as f64;
-    // The patch of this level is centred between pixels of its level, slightly off the template's
-    // centre.
-    let offset = patch.centre * scale - Vector2::new(centre.x, centre.y);
-    let expected = prediction.at(offset);
-    let image = image.level(level);
-    let mut samples: Samples = [0.0; AREA];
-    let mut last_step = f64::INFINITY;
-    let mut product = 0.0;
-    for _ in 0..iterations {
-        let centre = (expected + shift) / scale;
-        let products = sample_products(image, centre, &prediction.linear, patch.appearance(), &mut samples)
-            .ok_or(TrackFailure::Outside)?;
-        product = products.contrast;
-        let mut gain = product / patch.contrast_energy;
-        if level > 0 {
-            // Far from the solution the product does not measure the gain.
-            gain = gain.max(MIN_COARSE_GAIN);
-        } else if gain < 0.05 {
-            return Err(TrackFailure::Unlike); // dark, or inverted
-        }
-        let step = prediction.linear * (patch.inverse_hessian * (products.gradient / gain)) * scale;
-        shift -= step;
-        let length = step.norm();
-        if length > 8.0 * scale {
-            return Err(TrackFailure::Diverged); // half a patch: outside the linear range
-        }
-        // Near the solution the steps contract at a constant rate: the remaining ones are a
-        // geometric series.
-        let contraction = (length / last_step).min(MAX_CONTRACTION); // 0 for the first
-        let last_step_known = last_step.is_finite();
-        let steps_left = if last_step_known { contraction / (1.0 - contraction) } else { 1.0 };
-        last_step = length;
-        if length * steps_left < step_px {
-            // The remaining steps, where the rate is known, are taken at once.
-            if last_step_known && contraction < 0.5 {
-                shift -= step * steps_left;
+}
+
+impl LevelSearch<'_> {
+    /// The improved shift from the prediction (pixels of the full image) and the dissimilarity
+    /// there.
+    fn improve(&self, mut shift: Vector2<f64>) -> Result<(Vector2<f64>, f64), TrackFailure> {
+        let Self { patch, scale, linear, .. } = *self;
+        let mut samples: Samples = [0.0; AREA];
+        let mut last_step = f64::INFINITY;
+        let mut product = 0.0;
+        for _ in 0..self.iterations {
+            let centre = (self.expected + shift) / scale;
+            let products = sample_products(self.image, centre, linear, patch.appearance(), &mut samples)
+                .ok_or(TrackFailure::Outside)?;
+            product = products.contrast;
+            let mut gain = product / patch.contrast_energy;
+            if scale > 1.0 {
+                // Far from the solution the product does not measure the gain.
+                gain = gain.max(MIN_COARSE_GAIN);
+            } else if gain < 0.05 {
+                return Err(TrackFailure::Unlike); // dark, or inverted
             }
-            return Ok((shift, dissimilarity(patch, product, &samples)));
+            let step = linear * (patch.inverse_hessian * (products.gradient / gain)) * scale;
+            shift -= step;
+            let length = step.norm();
+            if length > 8.0 * scale {
+                return Err(TrackFailure::Diverged); // half a patch: outside the linear range
+            }
+            // Near the solution the steps contract at a constant rate: the remaining ones are a
+            // geometric series.
+            let contraction = (length / last_step).min(MAX_CONTRACTION); // 0 for the first
+            let last_step_known = last_step.is_finite();
+            let steps_left = if last_step_known { contraction / (1.0 - contraction) } else { 1.0 };
+            last_step = length;
+            if length * steps_left < self.step_px {
+                // The remaining steps, where the rate is known, are taken at once.
+                if last_step_known && contraction < 0.5 {
+                    shift -= step * steps_left;
+                }
+                return Ok((shift, dissimilarity(patch, product, &samples)));
+            }
         }
+        if last_step > 25.0 * self.step_px && last_step > 0.1 * scale {
+            return Err(TrackFailure::Diverged);
+        }
+        Ok((shift, dissimilarity(patch, product, &samples)))
     }
-    if last_step > 25.0 * step_px && last_step > 0.1 * scale {
-        return Err(TrackFailure::Diverged);
-    }
-    Ok((shift, dissimilarity(patch, product, &samples)))
 }
 
 /// Lower bound of the gain on coarse levels. Not derived; chosen.
@@ -197,12 +202,11 @@ pub fn forward_backward_px(
     let inverse = found.linear.try_inverse()?;
     // The backward patch lies on pixels, up to half a pixel off the match.
     let offset = back.centre - Vector2::new(found.position.x, found.position.y);
-    let start = Vector2::new(template.centre().x, template.centre().y) + inverse * offset;
-    let prediction = Warp { position: Pixel::new(start.x, start.y), linear: inverse };
-    let centre = Pixel::new(back.centre.x, back.centre.y);
+    let expected = Vector2::new(template.centre().x, template.centre().y) + inverse * offset;
     // A twentieth of the threshold is accurate enough.
     let step_px = config.step_px.max(0.05 * config.forward_backward_px);
-    let (shift, _) =
-        search(&back, 0, centre, keyframe, &prediction, Vector2::zeros(), config.iterations, step_px).ok()?;
+    let (patch, image, iterations) = (&back, keyframe.base(), config.iterations);
+    let search = LevelSearch { patch, image, scale: 1.0, expected, linear: &inverse, iterations, step_px };
+    let (shift, _) = search.improve(Vector2::zeros()).ok()?;
     Some(shift.norm())
 }
