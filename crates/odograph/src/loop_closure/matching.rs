@@ -325,7 +325,7 @@ impl Matcher {
     /// heading is within `heading_off_rad` of that of `motion`.
     pub fn guess(
         &self,
-        query: &mut QueryKeyframe,
+        query: &QueryKeyframe,
         reference: &mut ReferenceKeyframe,
         motion: &Vector4<f64>,
         heading_off_rad: f64,
@@ -335,12 +335,11 @@ impl Matcher {
             return Vec::new();
         }
         let registration = &self.of(query.camera).registration;
-        query.keyframe.prepare_view(registration);
         if reference.view.is_none() {
             reference.view =
                 registration.view(&reference.pyramid, reference.mask.as_deref(), &reference.pose);
         }
-        let (Some(from), Some(to)) = (query.keyframe.view(), &reference.view) else { return Vec::new() };
+        let (Some(from), Some(to)) = (query.keyframe.view(registration), &reference.view) else { return Vec::new() };
         let options = CoarseOptions {
             heading_rad: (motion[2], heading_off_rad),
             scale_free: self.scale_is_free(),

@@ -44,7 +44,7 @@ const RIVAL_SCORE: f64 = 0.6;
 /// Verifies a candidate. `None` if it is not in view, not consistent with its prior, or ambiguous.
 pub fn verify(
     matcher: &Matcher,
-    query: &mut QueryKeyframe,
+    query: &QueryKeyframe,
     reference: &mut ReferenceKeyframe,
     candidate: &LoopCandidate,
     new: KeyframeId,
@@ -81,7 +81,7 @@ fn misses(sighting: &LoopSighting, prior: &Prior) -> f64 {
 /// ambiguous.
 fn only_one(
     matcher: &Matcher,
-    query: &mut QueryKeyframe,
+    query: &QueryKeyframe,
     reference: &mut ReferenceKeyframe,
     prior: &Prior,
     config: &LoopClosureConfig,

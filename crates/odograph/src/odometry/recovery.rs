@@ -102,7 +102,7 @@ impl Recovery {
     pub fn find(
         &mut self,
         lost: Lost<'_>,
-        keyframe: &mut Keyframe,
+        keyframe: &Keyframe,
         memory: &mut KeyframeMemory,
         camera: &Camera,
         config: &OdometryConfig,
@@ -125,8 +125,8 @@ impl Recovery {
             let found = match remembered {
                 None => search.look(keyframe, heading_rad, random),
                 Some(index) => {
-                    let Some(mut old) = memory.take(index, camera) else { continue };
-                    let found = search.look(&mut old, heading_rad, random);
+                    let Some(old) = memory.take(index, camera) else { continue };
+                    let found = search.look(&old, heading_rad, random);
                     memory.put_back_at(index, old);
                     found
                 }
@@ -189,8 +189,7 @@ struct Confirmed {
 impl RecoverySearch<'_> {
     /// Searches for the frame in a keyframe at headings about the expected one within
     /// `heading_rad`, radians.
-    fn look(&self, keyframe: &mut Keyframe, heading_rad: f64, random: &mut Random) -> Confirmed {
-        keyframe.prepare_view(self.registration);
+    fn look(&self, keyframe: &Keyframe, heading_rad: f64, random: &mut Random) -> Confirmed {
         let turned_rad = wrap_angle(self.lost.expected.heading_rad - keyframe.pose.heading_rad);
         let model = self.config.motion.model;
         let options = CoarseOptions {
@@ -198,7 +197,7 @@ impl RecoverySearch<'_> {
             scale_free: matches!(model, MotionModel::Similarity | MotionModel::Free),
             ..Default::default()
         };
-        let hypotheses = match keyframe.view() {
+        let hypotheses = match keyframe.view(self.registration) {
             Some(view) => self.registration.register(view, &self.now, &options),
             None => Vec::new(),
         };

@@ -40,7 +40,7 @@ impl Mapper {
     pub(super) fn close_loops(
         &mut self,
         new: KeyframeId,
-        mut query: QueryKeyframe,
+        query: QueryKeyframe,
         images: &mut dyn KeyframeStore,
     ) -> Result<()> {
         // Both searches use the same shortest paths.
@@ -54,7 +54,7 @@ impl Mapper {
         for candidate in sure.take(self.config.comparisons) {
             let Some(mut reference) = self.reference(candidate.id, images)? else { continue };
             let closure =
-                verification::verify(&self.matcher, &mut query, &mut reference, candidate, new, &self.config);
+                verification::verify(&self.matcher, &query, &mut reference, candidate, new, &self.config);
             if let Some(closure) = closure {
                 return self.accept(closure, images);
             }
@@ -99,7 +99,7 @@ impl Mapper {
             && let Some(mut reference) = self.reference(candidate.id, images)?
         {
             let closure =
-                verification::verify(&self.matcher, &mut query, &mut reference, candidate, new, &self.config);
+                verification::verify(&self.matcher, &query, &mut reference, candidate, new, &self.config);
             self.backoff.record(closure.is_some());
             if let Some(closure) = closure {
                 self.accept(closure, images)?;

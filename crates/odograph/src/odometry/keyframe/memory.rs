@@ -9,7 +9,7 @@ use crate::fixed_pattern::ImageMask;
 use crate::geometry::GroundPose;
 use crate::motion::ViewingPose;
 use std::collections::VecDeque;
-use std::sync::Arc;
+use std::sync::{Arc, OnceLock};
 
 /// The last keyframes, to be taken up again when the camera comes back to them.
 #[derive(Debug)]
@@ -57,7 +57,7 @@ impl KeyframeMemory {
     /// Sets height and tilt of all records to those of `mount`, if given.
     pub fn recalibrate(&mut self, mount: Option<&GroundPose>) {
         for record in &mut self.records {
-            record.view = None;
+            record.view = OnceLock::new();
             if let Some(mount) = mount {
                 record.pose = record.pose.with_mount_of(mount);
                 record.surface = None;

@@ -100,7 +100,7 @@ pub struct Keyframe {
     /// time.
     pub in_halves: bool,
     /// The ground as the keyframe saw it, for coarse registration; made when it is first needed.
-    view: Option<GroundView>,
+    view: OnceLock<GroundView>,
     /// What can be made of its corners; found out when it is first needed.
     texture: OnceLock<TextureClass>,
     /// The whole image, to be compared with others; made when it is first needed.
@@ -161,7 +161,7 @@ impl Keyframe {
             surface: None,
             mask: mask.cloned(),
             places: Vec::new(),
-            view: None,
+            view: OnceLock::new(),
             reachable: true,
         };
         Self { sought: Some(Box::new(sought)), ..Self::recorded(record) }
@@ -181,7 +181,7 @@ impl Keyframe {
     pub fn set_mask(&mut self, mask: &Arc<ImageMask>, detection: &DetectionConfig) {
         let begun = self.sought.is_some();
         self.mask = Some(mask.clone());
-        self.view = None;
+        self.view = OnceLock::new();
         self.dense = OnceLock::new();
         if begun || self.places.iter().any(|&(x, y)| mask.covers(x, y)) {
             self.detect_again(detection);
@@ -200,7 +200,7 @@ impl Keyframe {
         correction.apply(&mut image);
         self.pyramid.replace(image);
         self.mask = mask.cloned();
-        self.view = None;
+        self.view = OnceLock::new();
         self.dense = OnceLock::new();
         self.detect_again(detection);
     }
@@ -277,7 +277,7 @@ impl Keyframe {
         }
         self.shutter.readout_s = readout_s.unwrap_or(self.shutter.readout_s);
         self.dense = OnceLock::new();
-        self.view = None;
+        self.view = OnceLock::new();
         self.shape = None;
         self.corners.iter_mut().for_each(|corner| corner.bent_m = 0.0);
         self.project_again(camera);
@@ -324,16 +324,13 @@ impl Keyframe {
         self.sought.as_ref().is_some_and(|sought| sought.will_find(corners)) || self.find().len() >= corners
     }
 
-    /// Makes the view for coarse registration, where there is none yet.
-    pub fn prepare_view(&mut self, registration: &CoarseRegistration) {
-        if self.view.is_none() {
-            self.view = registration.view(&self.pyramid, self.mask.as_deref(), &self.pose);
+    /// The ground as it saw it, for coarse registration; `None` where that cannot be made.
+    pub fn view(&self, registration: &CoarseRegistration) -> Option<&GroundView> {
+        if self.view.get().is_none() {
+            let view = registration.view(&self.pyramid, self.mask.as_deref(), &self.pose)?;
+            return Some(self.view.get_or_init(|| view));
         }
-    }
-
-    /// The view that [`Keyframe::prepare_view`] made; none where it could not be made.
-    pub fn view(&self) -> Option<&GroundView> {
-        self.view.as_ref()
+        self.view.get()
     }
 
     /// Covariance of height, roll and pitch.

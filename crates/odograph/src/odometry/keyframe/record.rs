@@ -27,7 +27,7 @@ pub struct KeyframeRecord {
     pub(super) surface: Option<Surface>,
     pub(super) mask: Option<Arc<ImageMask>>,
     pub(super) places: Vec<(usize, usize)>,
-    pub(super) view: Option<GroundView>,
+    pub(super) view: OnceLock<GroundView>,
     /// Whether its pose is connected with the present one by measurement.
     pub(super) reachable: bool,
 }
