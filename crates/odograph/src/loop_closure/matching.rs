@@ -14,7 +14,7 @@ use crate::motion::{CoarseOptions, CoarseRegistration, GroundView, Random};
 use crate::odometry::OdometryConfig;
 use crate::odometry::keyframe::{GRID, Keyframe, image_grid, overlap};
 use crate::odometry::learned::Learned;
-use crate::odometry::tracking::{self, Measurement};
+use crate::odometry::tracking::{Measurement, Tracker};
 use crate::place_recognition::{PlacesConfig, Signature};
 use nalgebra::{Matrix4, Matrix6, Vector4};
 use std::sync::Arc;
@@ -207,22 +207,10 @@ impl Matcher {
         }
         // Height and tilt of both are known; the prior widens if the recording contradicts it.
         let learned = Learned::new(&prediction);
+        let tracker = Tracker { keyframe, pyramid: &reference.pyramid, camera, config, learned: &learned };
         let mut random = Random::new(0);
-        let mut measure = |off_px: f64| {
-            tracking::measure_near(
-                keyframe,
-                &reference.pyramid,
-                camera,
-                &prediction,
-                off_px,
-                config,
-                &learned,
-                &mut random,
-            )
-        };
-        let first = measure(off_px).ok()?;
-        let found =
-            tracking::confirm(keyframe, &reference.pyramid, camera, first, config, &learned, &mut random);
+        let first = tracker.measure_near(&prediction, off_px, &mut random).ok()?;
+        let found = tracker.confirm(first, &mut random);
         // On a rigid mount, a match that needs another height or tilt is unreliable.
         let still = has_equal_tilt(&keyframe.pose, &reference.pose, STILL);
         if still && !has_equal_tilt(&prediction, &found.estimate.pose, CONTRADICTING) {
@@ -339,7 +327,9 @@ impl Matcher {
             reference.view =
                 registration.view(&reference.pyramid, reference.mask.as_deref(), &reference.pose);
         }
-        let (Some(from), Some(to)) = (query.keyframe.view(registration), &reference.view) else { return Vec::new() };
+        let (Some(from), Some(to)) = (query.keyframe.view(registration), &reference.view) else {
+            return Vec::new();
+        };
         let options = CoarseOptions {
             heading_rad: (motion[2], heading_off_rad),
             scale_free: self.scale_is_free(),

@@ -4,7 +4,7 @@
 use super::Odometry;
 use super::recovery::Lost;
 use super::texture::TextureClass;
-use super::tracking::{self, Measurement};
+use super::tracking::{Measurement, Tracker};
 use crate::image::Pyramid;
 use crate::motion::{MotionModel, Random};
 use crate::trajectory::LossReason;
@@ -67,47 +67,45 @@ impl Odometry {
         time_s: f64,
         near: std::result::Result<Measurement, LossReason>,
     ) -> std::result::Result<Measurement, LossReason> {
-        let (Some(keyframe), Some(last)) = (&mut self.keyframe, &self.last) else {
+        let (Some(keyframe), Some(last)) = (&self.keyframe, &self.last) else {
             return near;
         };
         if self.config.motion.model == MotionModel::Mean {
             return near;
         }
-        let least = CHANCE_INLIER_RATIO * self.learned.usual_inlier_ratio();
+        let (camera, config, learned) = (&self.camera, &self.config, &self.learned);
+        let tracker = Tracker { keyframe, pyramid, camera, config, learned };
+        let usual = learned.usual_inlier_ratio();
+        let (least, surprising) = (CHANCE_INLIER_RATIO * usual, SURPRISING_INLIER_RATIO * usual);
         let (expected, gap_s) = (last.extrapolated(time_s), time_s - last.time_s);
         let near = near.and_then(|measurement| {
-            let inlier_ratio = measurement.inlier_ratio(keyframe, &self.camera);
-            if inlier_ratio < SURPRISING_INLIER_RATIO * self.learned.usual_inlier_ratio()
-                && measurement.stands_still(keyframe, &self.camera, &expected)
-            {
+            let inlier_ratio = measurement.inlier_ratio(keyframe, camera);
+            if inlier_ratio < surprising && measurement.stands_still(keyframe, camera, &expected) {
                 return Err(LossReason::Shadow);
             }
             if inlier_ratio >= least {
                 return Ok(measurement);
             }
             let Measurement { found, prediction, .. } = &measurement;
-            Err(tracking::reason_of_loss(keyframe, &self.camera, found, prediction))
+            Err(tracker.reason_of_loss(found, prediction))
         });
         if TextureClass::of(pyramid, self.fixed.mask()) == TextureClass::Faint {
             return near;
         }
         let reason = near.as_ref().err().copied().unwrap_or(LossReason::NotPlanar);
         let frames = self.lost_frames;
-        let lost = Lost { pyramid, last, expected, gap_s, frames, ambiguous: near.ok() };
-        let (camera, config, mut random) = (&self.camera, &self.config, Random::new(self.frames));
-        let found =
-            self.recovery.find(lost, keyframe, &mut self.memory, camera, config, &self.learned, &mut random);
-        let found = found.ok_or(reason)?;
+        let lost = Lost { tracker, last, expected, gap_s, frames, ambiguous: near.ok() };
+        let random = &mut Random::new(self.frames);
+        let found = self.recovery.find(lost, &mut self.memory, random).ok_or(reason)?;
         let shadow = self.lost_frames < MOST_SHADOWED
             && found.remembered.is_none()
-            && found.measurement.inlier_ratio(keyframe, camera)
-                < SURPRISING_INLIER_RATIO * self.learned.usual_inlier_ratio()
+            && found.measurement.inlier_ratio(keyframe, camera) < surprising
             && found.measurement.stands_still(keyframe, camera, &expected);
         if shadow {
             return Err(LossReason::Shadow);
         }
         if let Some(old) = found.remembered.and_then(|index| self.memory.take(index, camera)) {
-            self.memory.remember(std::mem::replace(keyframe, old).retire());
+            self.replace_keyframe(old);
         }
         Ok(found.measurement)
     }
@@ -116,16 +114,7 @@ impl Odometry {
     pub(super) fn confirm(&self, pyramid: &Pyramid, measurement: Measurement) -> Measurement {
         match &self.keyframe {
             Some(keyframe) if measurement.support < self.enough_support() => {
-                let mut random = Random::new(self.frames);
-                tracking::confirm(
-                    keyframe,
-                    pyramid,
-                    &self.camera,
-                    measurement,
-                    &self.config,
-                    &self.learned,
-                    &mut random,
-                )
+                self.tracker(keyframe, pyramid).confirm(measurement, &mut Random::new(self.frames))
             }
             _ => measurement,
         }

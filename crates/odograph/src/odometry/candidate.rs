@@ -1,15 +1,10 @@
 //! The start of a new segment that has not proved itself yet.
 
+use super::LastPose;
 use super::ambiguity::CHANCE_INLIER_RATIO;
 use super::keyframe::Keyframe;
-use super::learned::Learned;
-use super::tracking::{self, Measurement};
-use super::{LastPose, OdometryConfig};
-use crate::camera::Camera;
-use crate::fixed_pattern::ImageMask;
-use crate::image::Pyramid;
-use crate::motion::Random;
-use std::sync::Arc;
+use super::tracking::{Measurement, Tracker};
+use crate::motion::{MotionEstimate, Random};
 
 /// Consecutive frames that must agree with a candidate before it is accepted, dark ones aside: a
 /// hand passes, the floor stays.
@@ -29,46 +24,29 @@ pub struct SegmentCandidate {
 }
 
 impl SegmentCandidate {
-    /// A candidate from an unmeasured frame at the pose of `last`. `None` if the frame has too
-    /// little texture.
-    pub fn new(
-        pyramid: Pyramid,
-        frame: u64,
-        last: LastPose,
-        mask: Option<&Arc<ImageMask>>,
-        camera: &Camera,
-        config: &OdometryConfig,
-    ) -> Option<Self> {
-        let (pose, covariance) = (last.pose, last.covariance);
-        let mut keyframe = Keyframe::new(pyramid, pose, covariance, mask, camera, &config.detection);
+    /// A candidate from the keyframe that an unmeasured frame at the pose of `last` has become.
+    pub fn new(keyframe: Keyframe, frame: u64, last: LastPose) -> Self {
         let made = (frame, last.time_s);
-        let enough = keyframe.can_be_followed(2 * config.motion.minimum_inliers);
-        enough.then_some(Self { keyframe, last, made, confirmations: 0 })
+        Self { keyframe, last, made, confirmations: 0 }
     }
 
-    /// Measures the next frame against the candidate; `None` if it does not agree.
-    pub fn confirm(
-        &mut self,
-        pyramid: &Pyramid,
-        time_s: f64,
-        camera: &Camera,
-        config: &OdometryConfig,
-        learned: &Learned,
-        random: &mut Random,
-    ) -> Option<Measurement> {
+    /// Measures the next frame by a tracker against the candidate's keyframe; `None` if it does not
+    /// agree.
+    pub fn measure(&self, tracker: &Tracker<'_>, time_s: f64, random: &mut Random) -> Option<Measurement> {
         let from = [self.last.extrapolated(time_s), self.last.pose];
-        let keyframe = &self.keyframe;
-        let whole = || tracking::measure_drowned(keyframe, pyramid, camera, from.each_ref(), config, learned);
         let by_corners = from.iter().find_map(|from| {
-            let found = tracking::measure(keyframe, pyramid, camera, from, config, learned, random).ok()?;
-            let inlier_ratio = found.inlier_ratio(keyframe, camera);
+            let found = tracker.measure(from, random).ok()?;
+            let inlier_ratio = found.inlier_ratio(&self.keyframe, tracker.camera);
             (inlier_ratio >= CHANCE_INLIER_RATIO).then_some(found)
         });
-        let measurement = by_corners.or_else(whole)?;
-        let (pose, covariance) = (measurement.estimate.pose, self.keyframe.covariance);
-        self.last = self.last.clone().moved(time_s, pose, covariance + measurement.estimate.covariance);
+        by_corners.or_else(|| tracker.measure_drowned(from.each_ref()))
+    }
+
+    /// Follows a frame that agreed.
+    pub fn confirm(&mut self, time_s: f64, estimate: &MotionEstimate) {
+        let covariance = self.keyframe.covariance + estimate.covariance;
+        self.last = self.last.clone().moved(time_s, estimate.pose, covariance);
         self.confirmations += 1;
-        Some(measurement)
     }
 
     /// Whether enough consecutive frames agreed.
@@ -76,14 +54,10 @@ impl SegmentCandidate {
         self.confirmations >= needed
     }
 
-    /// A fast camera leaves the candidate's ground before it is accepted: the next frame is
-    /// measured against this one, if it has enough texture.
-    pub fn move_on(&mut self, pyramid: Pyramid, frame: u64, camera: &Camera, config: &OdometryConfig) {
-        let (pose, covariance, mask) = (self.last.pose, self.last.covariance, self.keyframe.mask.as_ref());
-        let mut next = Keyframe::new(pyramid, pose, covariance, mask, camera, &config.detection);
-        if next.can_be_followed(2 * config.motion.minimum_inliers) {
-            self.keyframe = next;
-            self.made = (frame, self.last.time_s);
-        }
+    /// The next frame is measured against this one: a fast camera leaves the candidate's ground
+    /// before it is accepted.
+    pub fn move_on(&mut self, keyframe: Keyframe, frame: u64) {
+        self.keyframe = keyframe;
+        self.made = (frame, self.last.time_s);
     }
 }

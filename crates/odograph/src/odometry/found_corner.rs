@@ -1,7 +1,8 @@
-//! A keyframe's corner found again in a frame.
+//! The corners of a keyframe found again in a frame.
 
-use crate::buffer::stored;
+use crate::buffer::{Buffer, stored};
 use crate::flow::Warp;
+use crate::geometry::GroundPose;
 use nalgebra::Matrix2;
 
 /// A corner found again.
@@ -15,3 +16,9 @@ pub struct FoundCorner {
 }
 
 stored!(FoundCorner);
+
+/// The corners found again, and the pose that the probe corners agreed on.
+pub struct FoundCorners {
+    pub found: Buffer<FoundCorner>,
+    pub probe_pose: Option<GroundPose>,
+}

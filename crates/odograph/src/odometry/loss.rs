@@ -5,12 +5,14 @@ use super::keyframe::Keyframe;
 use super::keyframe_event::Before;
 use super::last_pose::LastPose;
 use super::tracking::Measurement;
-use super::{Odometry, texture};
+use super::{Odometry, OdometryConfig, texture};
+use crate::fixed_pattern::ImageMask;
 use crate::image::Pyramid;
 use crate::keyframe::EdgeKind;
 use crate::motion::Random;
 use crate::trajectory::{FrameEstimate, LossReason, TrackStatus};
 use nalgebra::Matrix6;
+use std::sync::Arc;
 
 impl Odometry {
     /// A frame that could not be measured: begins the map, or waits for the ground to come back.
@@ -33,8 +35,11 @@ impl Odometry {
         match self.confirm_candidate(&pyramid, time_s) {
             Some(found) if self.candidate_is_accepted() => return self.begin_segment(pyramid, time_s, found),
             Some(found) if found.support < self.enough_support() => {
-                if let Some(candidate) = &mut self.candidate {
-                    candidate.move_on(pyramid, self.frames, &self.camera, &self.config);
+                let next = self.candidate.as_ref().and_then(|candidate| {
+                    self.textured_keyframe(pyramid, &candidate.last, candidate.keyframe.mask.as_ref())
+                });
+                if let (Some(candidate), Some(next)) = (&mut self.candidate, next) {
+                    candidate.move_on(next, self.frames);
                 }
             }
             Some(_) => {}
@@ -46,14 +51,26 @@ impl Odometry {
                     Some(last) => last.extrapolated_over_gap(time_s),
                     None => LastPose::still(time_s, self.first_pose, Matrix6::zeros()),
                 };
-                let (frame, mask) = (self.frames, self.fixed.mask());
-                let mut candidate =
-                    SegmentCandidate::new(pyramid, frame, last, mask, &self.camera, &self.config);
-                candidate.iter_mut().for_each(|candidate| self.expose_first(&mut candidate.keyframe, time_s));
-                self.candidate = candidate;
+                let keyframe = self.textured_keyframe(pyramid, &last, self.fixed.mask());
+                self.candidate = keyframe.map(|mut keyframe| {
+                    self.expose_first(&mut keyframe, time_s);
+                    SegmentCandidate::new(keyframe, self.frames, last)
+                });
             }
         }
         self.lost(time_s, reason)
+    }
+
+    /// A keyframe from a frame at the pose of `last`; `None` if the frame has too little texture.
+    fn textured_keyframe(
+        &self,
+        pyramid: Pyramid,
+        last: &LastPose,
+        mask: Option<&Arc<ImageMask>>,
+    ) -> Option<Keyframe> {
+        let (camera, OdometryConfig { detection, motion, .. }) = (&self.camera, &self.config);
+        let mut keyframe = Keyframe::new(pyramid, last.pose, last.covariance, mask, camera, detection);
+        keyframe.can_be_followed(2 * motion.minimum_inliers).then_some(keyframe)
     }
 
     fn lost(&self, time_s: f64, reason: LossReason) -> FrameEstimate {
@@ -90,9 +107,11 @@ impl Odometry {
         // How the frame is exposed is predicted by the frames that confirmed the candidate.
         let last = self.candidate.as_ref().map(|candidate| &candidate.last);
         self.learned.predict_shutter(last, time_s, self.motion.at(time_s));
-        let mut random = Random::new(self.frames);
-        let (camera, config, learned) = (&self.camera, &self.config, &self.learned);
-        self.candidate.as_mut()?.confirm(pyramid, time_s, camera, config, learned, &mut random)
+        let candidate = self.candidate.as_ref()?;
+        let tracker = self.tracker(&candidate.keyframe, pyramid);
+        let found = candidate.measure(&tracker, time_s, &mut Random::new(self.frames))?;
+        self.candidate.as_mut()?.confirm(time_s, &found.estimate);
+        Some(found)
     }
 
     /// Whether enough frames agreed with the candidate. Known ground is preferred to a new segment.
@@ -117,9 +136,7 @@ impl Odometry {
             let model_covariance = self.keyframe.as_ref().map(|before| before.model_covariance);
             candidate.keyframe.model_covariance = model_covariance.unwrap_or_default();
             self.number(&mut candidate.keyframe, candidate.made, before);
-            if let Some(before) = self.keyframe.replace(candidate.keyframe) {
-                self.memory.remember(before.retire());
-            }
+            self.replace_keyframe(candidate.keyframe);
             self.last = Some(candidate.last);
         }
         self.memory.close_segment();

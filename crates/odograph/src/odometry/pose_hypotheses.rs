@@ -4,7 +4,7 @@
 use super::Odometry;
 use super::keyframe::Keyframe;
 use super::last_pose::{LastPose, seen_apart};
-use super::tracking::{self, Measurement};
+use super::tracking::{Measurement, Tracker};
 use crate::geometry::GroundPose;
 use crate::image::Pyramid;
 use crate::motion::{MotionModel, Random};
@@ -39,63 +39,57 @@ impl Odometry {
         })
     }
 
+    /// What measures a frame against a keyframe.
+    pub(super) fn tracker<'a>(&'a self, keyframe: &'a Keyframe, pyramid: &'a Pyramid) -> Tracker<'a> {
+        Tracker { keyframe, pyramid, camera: &self.camera, config: &self.config, learned: &self.learned }
+    }
+
     /// The pose of a frame near where it is expected, tried from several predictions.
     pub(super) fn measure_near(&self, pyramid: &Pyramid, time_s: f64) -> Measured {
-        let (Some(keyframe), Some(last)) = (&self.keyframe, &self.last) else {
+        let expected = self.expected(time_s);
+        let (Some(keyframe), Some(last), Some(extrapolated)) = (&self.keyframe, &self.last, expected) else {
             return Err(LossReason::Bare);
         };
-        let Some(extrapolated) = self.expected(time_s) else { return Err(LossReason::Bare) };
+        let tracker = self.tracker(keyframe, pyramid);
         let predictions = [&extrapolated, &self.beside_keyframe(&last.pose)];
-        let (camera, config, learned) = (&self.camera, &self.config, &self.learned);
-        if let Some(whole) =
-            tracking::measure_drowned(keyframe, pyramid, camera, predictions, config, learned)
-        {
-            return self.or_moving(Ok(whole), pyramid, &extrapolated);
-        }
-        if let Some(off_px) = self.prediction_off_px(last, time_s) {
-            let near = self.measure_within(keyframe, pyramid, &extrapolated, off_px);
-            // What others will be built on is searched in full, unless that could not find more.
-            let found_enough = |near: &Measurement| {
-                near.refined || near.support >= self.enough_support() || self.nearly_all_agree(keyframe, near)
-            };
-            if near.as_ref().is_ok_and(found_enough) {
-                return self.or_moving(near, pyramid, &extrapolated);
+        // What others will be built on is searched in full, unless that could not find more.
+        let found_enough = |near: &Measurement| {
+            near.refined || near.support >= self.enough_support() || self.nearly_all_agree(keyframe, near)
+        };
+        let near = || {
+            let off_px = self.prediction_off_px(last, time_s)?;
+            self.measure_within(&tracker, &extrapolated, off_px).ok().filter(found_enough)
+        };
+        let measured = match tracker.measure_drowned(predictions).or_else(near) {
+            Some(found) => Ok(found),
+            None => {
+                let random = &mut Random::new(self.frames);
+                let [first, second] = predictions;
+                let wide = tracker.measure(first, random).or_else(|_| tracker.measure(second, random));
+                self.or_elsewhere(wide, &tracker, last, time_s)
             }
-        }
-        let mut random = Random::new(self.frames);
-        let mut wide = Err(LossReason::Jump);
-        for prediction in predictions {
-            wide = tracking::measure(keyframe, pyramid, camera, prediction, config, learned, &mut random);
-            if wide.is_ok() {
-                break;
-            }
-        }
-        let measured = self.or_elsewhere(wide, pyramid, last, time_s);
-        self.or_moving(measured, pyramid, &extrapolated)
+        };
+        self.or_moving(measured, &tracker, &extrapolated)
     }
 
     /// The measured pose or, if it is that of what stands still in the image although the camera
     /// should have moved, the predicted one if enough corners agree with it. Drops on the lens, or
     /// rows of the image before, may outnumber the corners of the ground.
-    fn or_moving(&self, measured: Measured, pyramid: &Pyramid, prediction: &GroundPose) -> Measured {
-        let (Some(keyframe), Ok(still)) = (&self.keyframe, &measured) else { return measured };
-        if self.config.motion.model == MotionModel::Mean
-            || !still.stands_still(keyframe, &self.camera, prediction)
-        {
+    fn or_moving(&self, measured: Measured, tracker: &Tracker<'_>, prediction: &GroundPose) -> Measured {
+        let (Tracker { keyframe, camera, config, .. }, Ok(still)) = (*tracker, &measured) else {
+            return measured;
+        };
+        if config.motion.model == MotionModel::Mean || !still.stands_still(keyframe, camera, prediction) {
             return measured;
         }
         let least = LEAST_GROUND * still.estimate.inlier_count() as f64;
         let moves = |found: &Measurement| {
-            !found.stands_still(keyframe, &self.camera, prediction)
-                && found.estimate.inlier_count() as f64 >= least
+            !found.stands_still(keyframe, camera, prediction) && found.estimate.inlier_count() as f64 >= least
         };
-        let (camera, config, learned) = (&self.camera, &self.config, &self.learned);
         let random = &mut Random::new(self.frames);
         // By corners, even where the whole image was registered onto what stands still.
-        let moving = tracking::measure_corners(
-            keyframe, pyramid, camera, prediction, NEAR_PX, config, learned, random,
-        );
-        let Some(moving) = moving.filter(moves) else { return measured };
+        let moving = tracker.measure_corners(prediction, NEAR_PX, random).filter(moves);
+        let Some(moving) = moving else { return measured };
         if still.agreement.is_some() {
             return Ok(moving);
         }
@@ -107,11 +101,10 @@ impl Odometry {
     /// What a wide search found or, if fewer corners than usual agree with that and more with a
     /// place near another prediction, that place: on a repeating pattern a wide search may end a
     /// period off.
-    fn or_elsewhere(&self, wide: Measured, pyramid: &Pyramid, last: &LastPose, time_s: f64) -> Measured {
-        let Some(keyframe) = &self.keyframe else { return wide };
+    fn or_elsewhere(&self, wide: Measured, tracker: &Tracker<'_>, last: &LastPose, time_s: f64) -> Measured {
         let found = wide.as_ref().ok();
         if self.config.motion.model == MotionModel::Mean
-            || found.is_some_and(|found| self.nearly_all_agree(keyframe, found))
+            || found.is_some_and(|found| self.nearly_all_agree(tracker.keyframe, found))
         {
             return wide;
         }
@@ -123,7 +116,7 @@ impl Odometry {
             .iter()
             .map(|prediction| self.beside_keyframe(prediction))
             .filter(is_elsewhere)
-            .filter_map(|prediction| self.measure_within(keyframe, pyramid, &prediction, NEAR_PX).ok())
+            .filter_map(|prediction| self.measure_within(tracker, &prediction, NEAR_PX).ok())
             .filter(|near| is_elsewhere(&near.estimate.pose))
             .max_by(|a, b| a.support.total_cmp(&b.support));
         match elsewhere {
@@ -133,16 +126,8 @@ impl Odometry {
     }
 
     /// The pose of a frame if a prediction is off by at most `off_px` in the image.
-    fn measure_within(
-        &self,
-        keyframe: &Keyframe,
-        pyramid: &Pyramid,
-        prediction: &GroundPose,
-        off_px: f64,
-    ) -> Measured {
-        let (camera, config, learned) = (&self.camera, &self.config, &self.learned);
-        let random = &mut Random::new(self.frames);
-        tracking::measure_near(keyframe, pyramid, camera, prediction, off_px, config, learned, random)
+    fn measure_within(&self, tracker: &Tracker<'_>, prediction: &GroundPose, off_px: f64) -> Measured {
+        tracker.measure_near(prediction, off_px, &mut Random::new(self.frames))
     }
 
     /// Whether nearly as many of the corners in view agree with a pose as usual.

@@ -5,14 +5,12 @@
 //! inliers is taken or, if that is ambiguous, the one clearly nearest to the expected pose. If that
 //! is ambiguous too, the frame stays lost.
 
+use super::LastPose;
 use super::keyframe::{Keyframe, KeyframeMemory};
-use super::learned::Learned;
-use super::tracking::{self, Measurement};
-use super::{LastPose, OdometryConfig};
+use super::tracking::{Measurement, Tracker};
 use crate::camera::Camera;
 use crate::geometry::{GroundPose, wrap_angle};
-use crate::image::Pyramid;
-use crate::motion::{CoarseOptions, CoarseRegistration, GroundView, Hypothesis, MotionModel, Random};
+use crate::motion::{CoarseOptions, CoarseRegistration, GroundView, Hypothesis, Random};
 use std::f64::consts::PI;
 
 /// Number of keyframes that are compared with a lost frame, beside the present one.
@@ -59,7 +57,8 @@ pub struct RecoveredFrame {
 
 /// What a frame is, and what is known about where it may be.
 pub struct Lost<'a> {
-    pub pyramid: &'a Pyramid,
+    /// The frame, to be measured against the present keyframe.
+    pub tracker: Tracker<'a>,
     pub last: &'a LastPose,
     pub expected: GroundPose,
     /// The time since the last pose, seconds.
@@ -102,16 +101,12 @@ impl Recovery {
     pub fn find(
         &mut self,
         lost: Lost<'_>,
-        keyframe: &Keyframe,
         memory: &mut KeyframeMemory,
-        camera: &Camera,
-        config: &OdometryConfig,
-        learned: &Learned,
         random: &mut Random,
     ) -> Option<RecoveredFrame> {
-        let now = self.registration.view(lost.pyramid, keyframe.mask.as_deref(), &lost.last.pose)?;
-        let search =
-            RecoverySearch { lost: &lost, now, registration: &self.registration, camera, config, learned };
+        let Tracker { keyframe, pyramid, camera, .. } = lost.tracker;
+        let now = self.registration.view(pyramid, keyframe.mask.as_deref(), &lost.last.pose)?;
+        let search = RecoverySearch { lost: &lost, now, registration: &self.registration };
         let jumped = lost.frames == 0;
         let turned_rad = lost.likely_turn_rad();
         // After a jump the heading is known about as well as before. After a loss, any is tried in
@@ -174,9 +169,6 @@ struct RecoverySearch<'a> {
     lost: &'a Lost<'a>,
     now: GroundView,
     registration: &'a CoarseRegistration,
-    camera: &'a Camera,
-    config: &'a OdometryConfig,
-    learned: &'a Learned,
 }
 
 /// What the fine tracker makes of the hypotheses about one keyframe.
@@ -191,10 +183,9 @@ impl RecoverySearch<'_> {
     /// `heading_rad`, radians.
     fn look(&self, keyframe: &Keyframe, heading_rad: f64, random: &mut Random) -> Confirmed {
         let turned_rad = wrap_angle(self.lost.expected.heading_rad - keyframe.pose.heading_rad);
-        let model = self.config.motion.model;
         let options = CoarseOptions {
             heading_rad: (turned_rad, heading_rad),
-            scale_free: matches!(model, MotionModel::Similarity | MotionModel::Free),
+            scale_free: self.lost.tracker.config.motion.model.scale_is_free(),
             ..Default::default()
         };
         let hypotheses = match keyframe.view(self.registration) {
@@ -234,16 +225,15 @@ impl RecoverySearch<'_> {
         hypothesis: &Hypothesis,
         random: &mut Random,
     ) -> Option<(Measurement, f64)> {
-        let (last, pyramid) = (&self.lost.last.pose, self.lost.pyramid);
+        let last = &self.lost.last.pose;
         let pose = hypothesis.pose(&keyframe.pose, last);
         // Whole turns are kept.
         let heading_rad = last.heading_rad + wrap_angle(pose.heading_rad - last.heading_rad);
         let from = GroundPose { heading_rad, ..pose };
-        let measurement =
-            tracking::measure(keyframe, pyramid, self.camera, &from, self.config, self.learned, random)
-                .ok()?;
+        let tracker = Tracker { keyframe, ..self.lost.tracker };
+        let measurement = tracker.measure(&from, random).ok()?;
         let measurement = Measurement { prediction: self.lost.expected, ..measurement };
-        let inlier_ratio = measurement.inlier_ratio(keyframe, self.camera);
+        let inlier_ratio = measurement.inlier_ratio(keyframe, tracker.camera);
         Some((measurement, inlier_ratio))
     }
 }

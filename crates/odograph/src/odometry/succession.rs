@@ -104,9 +104,7 @@ impl Odometry {
         self.expose(&mut next, estimate);
         self.number(&mut next, (self.frames, time_s), before);
         self.serve_from_here(next.id, pose);
-        if let Some(before) = self.keyframe.replace(next) {
-            self.memory.remember(before.retire());
-        }
+        self.replace_keyframe(next);
         None
     }
 
@@ -127,23 +125,14 @@ impl Odometry {
         let Some((overlap, old)) = self.memory.take_best(&self.camera, pose, parts) else {
             return Revisit::No(pyramid);
         };
-        let mut random = Random::new(self.frames);
         let pixel_m = pose.height_m / self.camera.focal_px().0;
         let spread_m = 4.0 * (covariance[(0, 0)] + covariance[(1, 1)]).sqrt();
         let position_m = spread_m.min(UNAMBIGUOUS_PX * pixel_m) + 2.0 * pixel_m;
         let heading_rad = 4.0 * covariance[(2, 2)].sqrt() + 0.005;
         // What is further off would not be accepted.
         let off_px = position_m / pixel_m + 0.5 * heading_rad * self.camera.width() as f64;
-        let measured = tracking::measure_near(
-            &old,
-            &pyramid,
-            &self.camera,
-            pose,
-            off_px,
-            &self.config,
-            &self.learned,
-            &mut random,
-        );
+        let random = &mut Random::new(self.frames);
+        let measured = self.tracker(&old, &pyramid).measure_near(pose, off_px, random);
         let agrees = |m: &Measurement| {
             let found = &m.estimate.pose;
             m.inlier_ratio(&old, &self.camera) >= CHANCE_INLIER_RATIO * self.learned.usual_inlier_ratio()
@@ -164,9 +153,7 @@ impl Odometry {
         let result = if serves {
             let found = by_old.pose;
             self.serve_from_here(old.id, found);
-            if let Some(before) = self.keyframe.replace(old) {
-                self.memory.remember(before.retire());
-            }
+            self.replace_keyframe(old);
             (found, Revisit::Serves(pyramid))
         } else {
             let improved = self.improved_by_older(&old, by_old, (pose, uncertainty));
@@ -209,6 +196,13 @@ impl Odometry {
             improved,
             FrameUncertainty::fused(present, &older, &gain, 0.5 * (covariance + covariance.transpose())),
         )
+    }
+
+    /// Replaces the present keyframe, which is remembered.
+    pub(super) fn replace_keyframe(&mut self, keyframe: Keyframe) {
+        if let Some(before) = self.keyframe.replace(keyframe) {
+            self.memory.remember(before.retire());
+        }
     }
 
     /// Makes another keyframe the reference of the following frames; its own pose of the present

@@ -8,7 +8,7 @@ mod search;
 mod visibility;
 
 use super::OdometryConfig;
-use super::found_corner::FoundCorner;
+use super::found_corner::{FoundCorner, FoundCorners};
 use super::keyframe::Keyframe;
 use super::learned::Learned;
 use super::texture::TextureClass;
@@ -18,12 +18,10 @@ use crate::flow::forward_backward_px;
 use crate::geometry::GroundPose;
 use crate::image::Pyramid;
 use crate::motion::dense::{self, DenseEstimate, DenseImage, TileTrack};
-use crate::motion::{MotionEstimate, MotionModel, Random};
+use crate::motion::{MotionEstimate, MotionModel, Random, RigPrior};
 use crate::trajectory::LossReason;
 pub use observations::track_whitenings;
-use pose_fit::fit_pose;
-use search::{FoundCorners, search, search_where_last_seen};
-pub use visibility::{reason_of_loss, still_seen};
+pub use visibility::still_seen;
 
 /// A frame measured against a keyframe.
 #[derive(Debug, Clone)]
@@ -46,166 +44,144 @@ pub struct Measurement {
     pub tiles: Vec<TileTrack>,
 }
 
-/// Measures the pose of a frame against a keyframe, somewhere about `prediction`.
-pub fn measure(
-    keyframe: &Keyframe,
-    pyramid: &Pyramid,
-    camera: &Camera,
-    prediction: &GroundPose,
-    config: &OdometryConfig,
-    learned: &Learned,
-    random: &mut Random,
-) -> Result<Measurement, LossReason> {
-    let first = measure_near(keyframe, pyramid, camera, prediction, f64::INFINITY, config, learned, random)?;
-    if config.motion.model == MotionModel::Mean || first.refined {
-        return Ok(first);
-    }
-    // Once more from where it was found: corners that were out of reach are now within.
-    let found = first.estimate.pose;
-    Ok(match measure_near(keyframe, pyramid, camera, &found, FOUND_WITHIN_PX, config, learned, random) {
-        Ok(again) if again.support >= first.support => Measurement { prediction: first.prediction, ..again },
-        _ => first,
-    })
+/// A frame, the keyframe that it is measured against, and what is known of both.
+#[derive(Debug, Clone, Copy)]
+pub struct Tracker<'a> {
+    pub keyframe: &'a Keyframe,
+    /// The image of the frame, and the camera that took it.
+    pub pyramid: &'a Pyramid,
+    pub camera: &'a Camera,
+    pub config: &'a OdometryConfig,
+    pub learned: &'a Learned,
 }
 
 /// A pose that was found from few corners is still right to about this much in the image, pixels.
 const FOUND_WITHIN_PX: f64 = 2.0;
 
-/// Measures the pose of a frame against a keyframe if the prediction is off by at most `off_px` in
-/// the image.
-pub fn measure_near(
-    keyframe: &Keyframe,
-    pyramid: &Pyramid,
-    camera: &Camera,
-    prediction: &GroundPose,
-    off_px: f64,
-    config: &OdometryConfig,
-    learned: &Learned,
-    random: &mut Random,
-) -> Result<Measurement, LossReason> {
-    if config.motion.model != MotionModel::Mean && keyframe.texture() == TextureClass::Faint {
-        // A partly dark or blurred image looks faint, too, but has corners. Only corners determine
-        // the skew of a rolling shutter.
-        let whole = || measure_whole(keyframe, pyramid, camera, prediction, config, learned);
-        let by_corners = |random: &mut Random| {
-            measure_corners(keyframe, pyramid, camera, prediction, off_px, config, learned, random)
-                .filter(|found| found.inlier_ratio(keyframe, camera) >= LEAST_ON_FAINT)
-                .ok_or(LossReason::Jump)
-        };
-        return if learned.shutter_rolls() {
-            by_corners(random).or_else(|_| whole())
-        } else {
-            whole().or_else(|lost| by_corners(random).map_err(|_| lost))
-        };
-    }
-    let found = if config.motion.model == MotionModel::Mean {
-        FoundCorners { found: search_where_last_seen(keyframe, pyramid, off_px, config), probe_pose: None }
-    } else {
-        search(keyframe, pyramid, camera, prediction, off_px, config, learned, random)
-    };
-    fit_pose(keyframe, found, camera, prediction, config, learned, random)
-}
-
-/// Measures a frame by the corners of a keyframe, whatever its texture; `None` where it has too few
-/// or too few agree.
-pub fn measure_corners(
-    keyframe: &Keyframe,
-    pyramid: &Pyramid,
-    camera: &Camera,
-    prediction: &GroundPose,
-    off_px: f64,
-    config: &OdometryConfig,
-    learned: &Learned,
-    random: &mut Random,
-) -> Option<Measurement> {
-    if keyframe.corners.len() < 2 * config.motion.minimum_inliers {
-        return None;
-    }
-    let corners = search(keyframe, pyramid, camera, prediction, off_px, config, learned, random);
-    fit_pose(keyframe, corners, camera, prediction, config, learned, random).ok()
-}
-
 /// On an image that looks faint this part of the corners in view must agree with a pose.
 const LEAST_ON_FAINT: f64 = 0.5;
-
-/// Registers a frame to a whole keyframe: on faint ground no single corner is reliable.
-fn measure_whole(
-    keyframe: &Keyframe,
-    pyramid: &Pyramid,
-    camera: &Camera,
-    prediction: &GroundPose,
-    config: &OdometryConfig,
-    learned: &Learned,
-) -> Result<Measurement, LossReason> {
-    let image = DenseImage::new(pyramid.base()).without(keyframe.mask.clone());
-    let prior = learned.rig_prior.prior(prediction, &config.motion);
-    let found = dense::refine(camera, keyframe.dense(camera), &image, prediction, &prior, &config.motion);
-    let found = found.filter(|found| found.score >= DenseEstimate::LEAST_SCORE).ok_or(LossReason::Jump)?;
-    if found.agreement < DenseEstimate::LEAST_AGREEMENT {
-        return Err(LossReason::NotPlanar);
-    }
-    Ok(Measurement {
-        estimate: found.estimate,
-        prediction: *prediction,
-        found: Buffer::new(),
-        fixed: Buffer::new(),
-        support: found.agreement * found.overlap,
-        refined: true,
-        agreement: Some(found.agreement),
-        tiles: found.tracks,
-    })
-}
-
-/// Registers a frame to a whole keyframe whose corners do not exceed the noise, near one of two
-/// predictions. `None` if they do exceed it, or if the ground is not found.
-pub fn measure_drowned(
-    keyframe: &Keyframe,
-    pyramid: &Pyramid,
-    camera: &Camera,
-    predictions: [&GroundPose; 2],
-    config: &OdometryConfig,
-    learned: &Learned,
-) -> Option<Measurement> {
-    let by_corners = keyframe.texture() != TextureClass::Drowned || learned.shutter_rolls();
-    if config.motion.model == MotionModel::Mean || by_corners {
-        return None;
-    }
-    predictions
-        .iter()
-        .find_map(|prediction| measure_whole(keyframe, pyramid, camera, prediction, config, learned).ok())
-}
-
-/// Drops tracks that fail the forward-backward check and measures again: used where later frames
-/// depend on this one.
-pub fn confirm(
-    keyframe: &Keyframe,
-    pyramid: &Pyramid,
-    camera: &Camera,
-    measurement: Measurement,
-    config: &OdometryConfig,
-    learned: &Learned,
-    random: &mut Random,
-) -> Measurement {
-    if measurement.agreement.is_some() {
-        return measurement;
-    }
-    let comes_back = |found: &&FoundCorner| {
-        let template = &keyframe.corners[found.corner].template;
-        forward_backward_px(template, &keyframe.pyramid, pyramid, &found.warp, &config.flow)
-            .is_some_and(|distance| distance <= config.flow.forward_backward_px)
-    };
-    let found: Buffer<FoundCorner> = measurement.found.iter().filter(comes_back).copied().collect();
-    if (found.len() as f64) < MIN_CONFIRMED * measurement.found.len() as f64 {
-        return measurement;
-    }
-    let found = FoundCorners { found, probe_pose: measurement.refined.then_some(measurement.estimate.pose) };
-    match fit_pose(keyframe, found, camera, &measurement.prediction, config, learned, random) {
-        Ok(again) if again.fixed.is_empty() => again.beside(measurement.fixed, keyframe),
-        Ok(again) => again,
-        Err(_) => measurement,
-    }
-}
 
 /// Where fewer tracks than this fraction come back, blur keeps them from it, and the few that do
 /// would give a worse pose. Not derived; chosen.
 const MIN_CONFIRMED: f64 = 0.25;
+
+impl Tracker<'_> {
+    /// Measures the pose of the frame, somewhere about `prediction`.
+    pub fn measure(&self, prediction: &GroundPose, random: &mut Random) -> Result<Measurement, LossReason> {
+        let first = self.measure_near(prediction, f64::INFINITY, random)?;
+        if self.config.motion.model == MotionModel::Mean || first.refined {
+            return Ok(first);
+        }
+        // Once more from where it was found: corners that were out of reach are now within.
+        Ok(match self.measure_near(&first.estimate.pose, FOUND_WITHIN_PX, random) {
+            Ok(again) if again.support >= first.support => {
+                Measurement { prediction: first.prediction, ..again }
+            }
+            _ => first,
+        })
+    }
+
+    /// Measures the pose of the frame if the prediction is off by at most `off_px` in the image.
+    pub fn measure_near(
+        &self,
+        prediction: &GroundPose,
+        off_px: f64,
+        random: &mut Random,
+    ) -> Result<Measurement, LossReason> {
+        if self.config.motion.model == MotionModel::Mean {
+            return self.fit_pose(self.search_where_last_seen(off_px), prediction, random);
+        }
+        if self.keyframe.texture() != TextureClass::Faint {
+            return self.fit_pose(self.search(prediction, off_px, random), prediction, random);
+        }
+        // A partly dark or blurred image looks faint, too, but has corners. Only corners determine
+        // the skew of a rolling shutter.
+        let whole = || self.measure_whole(prediction);
+        let mut by_corners = || {
+            self.measure_corners(prediction, off_px, random)
+                .filter(|found| found.inlier_ratio(self.keyframe, self.camera) >= LEAST_ON_FAINT)
+                .ok_or(LossReason::Jump)
+        };
+        if self.learned.shutter_rolls() {
+            by_corners().or_else(|_| whole())
+        } else {
+            whole().or_else(|lost| by_corners().map_err(|_| lost))
+        }
+    }
+
+    /// Measures the frame by the corners of the keyframe, whatever its texture; `None` where it has
+    /// too few or too few agree.
+    pub fn measure_corners(
+        &self,
+        prediction: &GroundPose,
+        off_px: f64,
+        random: &mut Random,
+    ) -> Option<Measurement> {
+        if self.keyframe.corners.len() < 2 * self.config.motion.minimum_inliers {
+            return None;
+        }
+        self.fit_pose(self.search(prediction, off_px, random), prediction, random).ok()
+    }
+
+    /// Registers the frame to the whole keyframe: on faint ground no single corner is reliable.
+    fn measure_whole(&self, prediction: &GroundPose) -> Result<Measurement, LossReason> {
+        let Self { keyframe, camera, .. } = *self;
+        let image = DenseImage::new(self.pyramid.base()).without(keyframe.mask.clone());
+        let (reference, prior) = (keyframe.dense(camera), self.prior(prediction));
+        let found = dense::refine(camera, reference, &image, prediction, &prior, &self.config.motion);
+        let found =
+            found.filter(|found| found.score >= DenseEstimate::LEAST_SCORE).ok_or(LossReason::Jump)?;
+        if found.agreement < DenseEstimate::LEAST_AGREEMENT {
+            return Err(LossReason::NotPlanar);
+        }
+        Ok(Measurement {
+            estimate: found.estimate,
+            prediction: *prediction,
+            found: Buffer::new(),
+            fixed: Buffer::new(),
+            support: found.agreement * found.overlap,
+            refined: true,
+            agreement: Some(found.agreement),
+            tiles: found.tracks,
+        })
+    }
+
+    /// Registers the frame to the whole keyframe where its corners do not exceed the noise, near
+    /// one of the predictions. `None` if they do exceed it, or if the ground is not found.
+    pub fn measure_drowned(&self, predictions: [&GroundPose; 2]) -> Option<Measurement> {
+        let by_corners = self.keyframe.texture() != TextureClass::Drowned || self.learned.shutter_rolls();
+        if self.config.motion.model == MotionModel::Mean || by_corners {
+            return None;
+        }
+        predictions.into_iter().find_map(|prediction| self.measure_whole(prediction).ok())
+    }
+
+    /// Drops tracks that fail the forward-backward check and measures again: used where later
+    /// frames depend on this one.
+    pub fn confirm(&self, measurement: Measurement, random: &mut Random) -> Measurement {
+        if measurement.agreement.is_some() {
+            return measurement;
+        }
+        let Self { keyframe, config: OdometryConfig { flow, .. }, .. } = *self;
+        let comes_back = |found: &&FoundCorner| {
+            let template = &keyframe.corners[found.corner].template;
+            forward_backward_px(template, &keyframe.pyramid, self.pyramid, &found.warp, flow)
+                .is_some_and(|distance| distance <= flow.forward_backward_px)
+        };
+        let found: Buffer<FoundCorner> = measurement.found.iter().filter(comes_back).copied().collect();
+        if (found.len() as f64) < MIN_CONFIRMED * measurement.found.len() as f64 {
+            return measurement;
+        }
+        let probe_pose = measurement.refined.then_some(measurement.estimate.pose);
+        match self.fit_pose(FoundCorners { found, probe_pose }, &measurement.prediction, random) {
+            Ok(again) if again.fixed.is_empty() => again.beside(measurement.fixed, keyframe),
+            Ok(again) => again,
+            Err(_) => measurement,
+        }
+    }
+
+    /// The prior of height and tilt.
+    fn prior(&self, prediction: &GroundPose) -> RigPrior {
+        self.learned.rig_prior.prior(prediction, &self.config.motion)
+    }
+}

@@ -1,17 +1,10 @@
 //! The pose of a frame from the corners found: the motion model and the shape of the ground under
 //! which they agree best.
 
-use super::super::OdometryConfig;
-use super::super::found_corner::FoundCorner;
+use super::super::found_corner::{FoundCorner, FoundCorners};
 use super::super::keyframe::Keyframe;
-use super::super::learned::Learned;
-use super::Measurement;
-use super::mean_motion::mean_motion;
-use super::observations::observations;
-use super::search::FoundCorners;
-use super::visibility::reason_of_loss;
+use super::{Measurement, Tracker};
 use crate::buffer::Buffer;
-use crate::camera::Camera;
 use crate::geometry::GroundPose;
 use crate::motion::{
     ExpectedRates, MAX_KERB_HEIGHT, MotionEstimate, MotionModel, Observations, PoseRates, Random, RigPrior,
@@ -20,45 +13,45 @@ use crate::motion::{
 use crate::trajectory::LossReason;
 use nalgebra::{Matrix3, Vector3};
 
-/// The pose of a frame from the corners found.
-pub(super) fn fit_pose(
-    keyframe: &Keyframe,
-    corners: FoundCorners,
-    camera: &Camera,
-    prediction: &GroundPose,
-    config: &OdometryConfig,
-    learned: &Learned,
-    random: &mut Random,
-) -> Result<Measurement, LossReason> {
-    let FoundCorners { found, probe_pose } = corners;
-    if found.len() < config.motion.minimum_inliers {
-        return Err(LossReason::Jump);
+impl Tracker<'_> {
+    /// The pose of the frame from the corners found.
+    pub(super) fn fit_pose(
+        &self,
+        corners: FoundCorners,
+        prediction: &GroundPose,
+        random: &mut Random,
+    ) -> Result<Measurement, LossReason> {
+        let FoundCorners { found, probe_pose } = corners;
+        if found.len() < self.config.motion.minimum_inliers {
+            return Err(LossReason::Jump);
+        }
+        let estimate = if self.config.motion.model == MotionModel::Mean {
+            self.mean_motion(&found, prediction, random)
+        } else {
+            let near = probe_pose.unwrap_or(*prediction);
+            PoseFit { near, ..PoseFit::new(self, &found, prediction, random) }.on_likeliest_ground()
+        };
+        let estimate = estimate.ok_or_else(|| self.reason_of_loss(&found, prediction))?;
+        let support = estimate.inlier_count() as f64 / self.keyframe.corners_at_first.max(1) as f64;
+        let (refined, fixed) = (probe_pose.is_some(), Buffer::new());
+        let (agreement, tiles) = (None, Vec::new());
+        Ok(Measurement {
+            estimate,
+            prediction: *prediction,
+            found,
+            fixed,
+            support,
+            refined,
+            agreement,
+            tiles,
+        })
     }
-    let estimate = if config.motion.model == MotionModel::Mean {
-        mean_motion(keyframe, &found, camera, prediction, config, random)
-    } else {
-        let near = probe_pose.unwrap_or(*prediction);
-        let prior = learned.rig_prior.prior(prediction, &config.motion);
-        // A keyframe that deviates from the mount by more than its scatter is still valid for its
-        // frames.
-        let priors = [prior, prior.reaching(&keyframe.pose)];
-        PoseFit { keyframe, found: &found, camera, config, learned, near, priors, random, tilted: None }
-            .on_likeliest_ground()
-    };
-    let estimate = estimate.ok_or_else(|| reason_of_loss(keyframe, camera, &found, prediction))?;
-    let support = estimate.inlier_count() as f64 / keyframe.corners_at_first.max(1) as f64;
-    let (refined, fixed) = (probe_pose.is_some(), Buffer::new());
-    let (agreement, tiles) = (None, Vec::new());
-    Ok(Measurement { estimate, prediction: *prediction, found, fixed, support, refined, agreement, tiles })
 }
 
 /// Fits of one frame under several hypotheses about the ground.
-struct PoseFit<'a> {
-    keyframe: &'a Keyframe,
+pub(super) struct PoseFit<'a> {
+    tracker: &'a Tracker<'a>,
     found: &'a [FoundCorner],
-    camera: &'a Camera,
-    config: &'a OdometryConfig,
-    learned: &'a Learned,
     /// Where the pose is searched for.
     near: GroundPose,
     /// Priors of height and tilt, the likelier first.
@@ -68,10 +61,31 @@ struct PoseFit<'a> {
     tilted: Option<Option<MotionEstimate>>,
 }
 
-impl PoseFit<'_> {
+impl<'a> PoseFit<'a> {
+    /// Fits about `prediction`.
+    pub(super) fn new(
+        tracker: &'a Tracker<'a>,
+        found: &'a [FoundCorner],
+        prediction: &GroundPose,
+        random: &'a mut Random,
+    ) -> Self {
+        let prior = tracker.prior(prediction);
+        // A keyframe that deviates from the mount by more than its scatter is still valid for its
+        // frames.
+        let priors = [prior, prior.reaching(&tracker.keyframe.pose)];
+        Self { tracker, found, near: *prediction, priors, random, tilted: None }
+    }
+
+    /// The fit with ground as it is known, whose shape is left as it is.
+    pub(super) fn on_known_ground(&mut self) -> Option<MotionEstimate> {
+        let ground = GroundHypothesis { has_free_shape: false, ..self.known_ground() };
+        let (near, [prior, _]) = (self.near, self.priors);
+        self.fit_near(&near, &prior, ground)
+    }
+
     /// The fit with ground as it is known; with uneven ground if only that explains the corners.
     fn on_likeliest_ground(&mut self) -> Option<MotionEstimate> {
-        let (keyframe, learned) = (self.keyframe, self.learned);
+        let Tracker { keyframe, config, learned, .. } = *self.tracker;
         let known = self.known_ground();
         let flat = self.fit(known);
         let is_flat = known.relief_m2 == 0.0;
@@ -99,7 +113,7 @@ impl PoseFit<'_> {
             }
             // A camera that is carried freely looks at its first ground with a tilt that no rig
             // states.
-            if self.config.motion.model == MotionModel::Auto
+            if config.motion.model == MotionModel::Auto
                 && !self.priors[0].holds_tilt()
                 && let Some(tilted) = self.tilted().clone()
                 && explains_better(&tilted, &flat, UNEVEN_FACTORS.over_plane)
@@ -112,7 +126,8 @@ impl PoseFit<'_> {
 
     /// The ground as it is known: rough by as much as was seen.
     fn known_ground(&self) -> GroundHypothesis {
-        GroundHypothesis { relief_m2: self.learned.relief_m2(), ..GroundHypothesis::default() }
+        let relief_m2 = self.tracker.learned.relief_m2();
+        GroundHypothesis { relief_m2, new_ground_m2: 0.0, is_tilted: false, has_free_shape: true }
     }
 
     /// The fit with uneven ground if it explains the corners better than flat ground does, with or
@@ -153,7 +168,7 @@ impl PoseFit<'_> {
         let (near, priors) = (self.near, self.priors);
         let (found, prior) =
             priors.iter().find_map(|prior| Some((self.fit_near(&near, prior, ground)?, prior)))?;
-        if !self.learned.skew_is_fitted() {
+        if !self.tracker.learned.skew_is_fitted() {
             return Some(found);
         }
         // The rates were those of the predicted pose: once more with those of the measured.
@@ -167,9 +182,10 @@ impl PoseFit<'_> {
         prior: &RigPrior,
         ground: GroundHypothesis,
     ) -> Option<MotionEstimate> {
-        let Self { keyframe, found, camera, config, learned, .. } = *self;
+        let Tracker { keyframe, camera, config, learned, .. } = *self.tracker;
         let shutter = learned.shutter_at(camera, near);
-        let shape = (ground.relief_m2 > 0.0).then(|| learned.shape(keyframe, prior)).flatten();
+        let has_free_shape = ground.has_free_shape && ground.relief_m2 > 0.0;
+        let shape = has_free_shape.then(|| learned.shape(keyframe, prior)).flatten();
         // The error of the keyframe's skew is the same in all frames, as that of a slope.
         let of_keyframe = shape.map_or(PoseRates::zeros(), |_| keyframe.rate_variance);
         let frame_shutter = learned.frame_shutter.map(|prior| ShutterPrior {
@@ -182,7 +198,7 @@ impl PoseFit<'_> {
         });
         let shutter = frame_shutter.as_ref().zip(shutter.as_ref());
         let relief_m2 = (ground.relief_m2, ground.new_ground_m2);
-        let (observations, noise_px) = observations(keyframe, found, camera, near, shutter, relief_m2);
+        let (observations, noise_px) = self.tracker.observations(self.found, near, shutter, relief_m2);
         let observations = Observations {
             seen: &observations,
             noise_px,
@@ -258,7 +274,7 @@ fn new_ground_disagrees(keyframe: &Keyframe, found: &[FoundCorner], pose: Option
 }
 
 /// What the ground may be beside the plane z = 0.
-#[derive(Clone, Copy, Default)]
+#[derive(Clone, Copy)]
 struct GroundHypothesis {
     /// Variance of elevations, metres².
     relief_m2: f64,
@@ -266,6 +282,8 @@ struct GroundHypothesis {
     new_ground_m2: f64,
     /// Whether the keyframe may have had another tilt over it, and the shutter may roll.
     is_tilted: bool,
+    /// Whether the shape of rough ground is estimated, too, where it can be.
+    has_free_shape: bool,
 }
 
 /// Standard deviation of a tilt that was not in the rig file, radians.

@@ -2,7 +2,7 @@
 
 use super::super::found_corner::FoundCorner;
 use super::super::keyframe::{KeyCorner, Keyframe};
-use super::Measurement;
+use super::{Measurement, Tracker};
 use crate::buffer::Buffer;
 use crate::camera::Camera;
 use crate::geometry::GroundPose;
@@ -71,17 +71,14 @@ fn false_alarms(tracks: usize, inliers: usize, residual: f64) -> f64 {
     choices + inliers as f64 * chance.log10()
 }
 
-/// Reason of a loss: most of what should be in view was found but does not move as one plane, or it
-/// was found by chance.
-pub fn reason_of_loss(
-    keyframe: &Keyframe,
-    camera: &Camera,
-    found: &[FoundCorner],
-    prediction: &GroundPose,
-) -> LossReason {
-    const MOST: f64 = 0.5;
-    let expected = in_view(keyframe, keyframe.corners.iter(), camera, prediction);
-    if found.len() as f64 >= MOST * expected as f64 { LossReason::NotPlanar } else { LossReason::Jump }
+impl Tracker<'_> {
+    /// Reason of a loss: most of what should be in view was found but does not move as one plane,
+    /// or it was found by chance.
+    pub fn reason_of_loss(&self, found: &[FoundCorner], prediction: &GroundPose) -> LossReason {
+        const MOST: f64 = 0.5;
+        let expected = in_view(self.keyframe, self.keyframe.corners.iter(), self.camera, prediction);
+        if found.len() as f64 >= MOST * expected as f64 { LossReason::NotPlanar } else { LossReason::Jump }
+    }
 }
 
 /// How many of the corners a camera at `pose` should see.
@@ -104,12 +101,8 @@ pub fn still_seen(keyframe: &Keyframe, camera: &Camera, found: &[FoundCorner], p
     if found.is_empty() {
         return keyframe.dense(camera).overlap(camera, pose);
     }
-    let pose = ViewingPose::new(*pose);
-    let seen = |found: &&FoundCorner| {
-        let pixel = keyframe.corners[found.corner].patch.pixel(camera, &pose);
-        pixel.is_some_and(|pixel| camera.contains(pixel, TEMPLATE_REACH_PX) && !keyframe.is_masked(pixel))
-    };
-    found.iter().filter(seen).count() as f64 / keyframe.corners_at_first.max(1) as f64
+    let tracked = found.iter().map(|found| &keyframe.corners[found.corner]);
+    in_view(keyframe, tracked, camera, pose) as f64 / keyframe.corners_at_first.max(1) as f64
 }
 
 /// A template nearer to the border than this cannot be found.
