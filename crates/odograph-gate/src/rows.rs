@@ -169,6 +169,7 @@ pub fn rows() -> Vec<BenchmarkRow> {
     let gravel = Relief { amplitude_m: 0.015, scale_m: 0.06 };
     let ramp = Ramp { slope: 0.1, at_m: 2.0 };
     let kerb = Kerb { height_m: 0.05, at_m: 2.0 };
+    let low_kerb = Kerb { height_m: 0.03, at_m: 1.0 };
     let dark = vec![Blackout { from_s: 3.0, to_s: 5.0 }];
     vec![
         clean(),
@@ -299,6 +300,20 @@ pub fn rows() -> Vec<BenchmarkRow> {
             path: ahead,
             seeds: 1,
             ..small("kerb", on(Terrain { kerb: Some(kerb), ..Terrain::default() }))
+        },
+        BenchmarkRow {
+            path: lanes,
+            fps: 15.0,
+            follow: Follow::Mapped,
+            seeds: 1,
+            ..small("kerb-lanes", on(Terrain { kerb: Some(low_kerb), ..Terrain::default() }))
+        },
+        BenchmarkRow {
+            path: lanes,
+            fps: 15.0,
+            follow: Follow::Mapped,
+            seeds: 1,
+            ..small("undulation-lanes", on(Terrain { undulation: Some(undulation), ..Terrain::default() }))
         },
         small("blackout-2s", Effects { blackouts: dark, ..noise() }),
         BenchmarkRow { name: "h264-qp28", h264_qp: Some(28), ..clean() },

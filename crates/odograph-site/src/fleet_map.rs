@@ -118,6 +118,7 @@ impl FleetMap {
             tie: None,
             image: picture.gray,
             mask: mask.clone(),
+            ground: None,
         };
         self.store.waiting = Some((head.number, image));
         let is_known = self.mapper.map().masks.get(&session) == mask.as_ref();

@@ -5,6 +5,7 @@ use crate::camera::Camera;
 use crate::fixed_pattern::ImageMask;
 use crate::geometry::{GroundPose, Ray};
 use crate::image::{GrayImage, Pyramid};
+use crate::keyframe::GroundInView;
 use crate::keyframe::relative_pose::{compose, motion_covariance, relative_motion};
 use crate::loop_closure::likeness::{Likeness, RegisteredImage};
 use crate::motion::MotionEstimate;
@@ -24,32 +25,58 @@ use std::sync::Arc;
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
 pub struct CameraIndex(usize);
 
-/// A pose, and the camera that is there.
+/// A pose, the camera that is there, and the ground that it sees.
 #[derive(Debug, Clone, Copy)]
 pub struct CameraPose {
     pub camera: CameraIndex,
     pub pose: GroundPose,
+    /// `None` where that is the plane z = 0.
+    pub ground: Option<GroundInView>,
+}
+
+impl CameraPose {
+    /// Height, roll and pitch over the ground in view, at the origin.
+    fn over_ground(&self) -> GroundPose {
+        self.ground.map_or(at_origin(&self.pose), |ground| ground.camera)
+    }
+
+    /// A motion to a camera `to`, in the frame of the plane in view.
+    fn on_ground(&self, to: &GroundPose, motion: &Vector4<f64>) -> Vector4<f64> {
+        let Some(ground) = &self.ground else { return *motion };
+        let (roll_rad, pitch_rad) = (to.roll_rad, to.pitch_rad);
+        let there = GroundPose { roll_rad, pitch_rad, ..compose(&at_origin(&self.pose), motion, 1.0) };
+        let there = ground.plane_from_ground(&self.pose) * there.world_from_camera();
+        relative_motion(&ground.camera, &GroundPose::from_world_from_camera(&there))
+    }
+
+    /// The motion to a pose in the frame of the plane in view.
+    fn motion_to(&self, there: &GroundPose) -> Vector4<f64> {
+        let here = at_origin(&self.pose);
+        let Some(ground) = &self.ground else { return relative_motion(&here, there) };
+        let there = ground.plane_from_ground(&self.pose).inverse() * there.world_from_camera();
+        relative_motion(&here, &GroundPose::from_world_from_camera(&there))
+    }
+
+    /// Elevations about the plane in view over the height: the parallax of a metre of motion.
+    fn unevenness(&self) -> f64 {
+        self.ground.map_or(0.0, |ground| ground.relief_m / ground.camera.height_m)
+    }
 }
 
 /// The query: a keyframe whose corners are searched for.
 #[derive(Debug)]
 pub struct QueryKeyframe {
-    camera: CameraIndex,
+    at: CameraPose,
+    /// At the origin, over the ground in view.
     keyframe: Keyframe,
-}
-
-impl QueryKeyframe {
-    fn place(&self) -> CameraPose {
-        CameraPose { camera: self.camera, pose: self.keyframe.pose }
-    }
 }
 
 /// The reference: a keyframe in whose image they are searched for.
 #[derive(Debug)]
 pub struct ReferenceKeyframe {
-    camera: CameraIndex,
+    at: CameraPose,
     pyramid: Pyramid,
-    /// Height, roll and pitch as measured; the position is irrelevant.
+    /// Height, roll and pitch over the ground in view.
     pose: GroundPose,
     mask: Option<Arc<ImageMask>>,
     view: Option<GroundView>,
@@ -122,7 +149,7 @@ impl Matcher {
 
     /// The signature of a query for place recognition.
     pub fn signature(&self, query: &QueryKeyframe, config: &PlacesConfig) -> Signature {
-        let QueryKeyframe { camera, keyframe } = query;
+        let QueryKeyframe { at: CameraPose { camera, .. }, keyframe } = query;
         let mask = keyframe.mask.as_deref();
         Signature::of(&keyframe.pyramid, &self.of(*camera).camera, mask, &keyframe.pose, config)
     }
@@ -131,12 +158,11 @@ impl Matcher {
     /// evidence of a place.
     pub fn query(&self, image: GrayImage, at: &CameraPose, mask: Option<&Arc<ImageMask>>) -> QueryKeyframe {
         let pyramid = Pyramid::new(image, self.config.flow.levels);
-        let here = at_origin(&at.pose);
         QueryKeyframe {
-            camera: at.camera,
+            at: *at,
             keyframe: Keyframe::new(
                 pyramid,
-                here,
+                at.over_ground(),
                 Matrix6::zeros(),
                 mask,
                 &self.of(at.camera).camera,
@@ -154,15 +180,15 @@ impl Matcher {
         mask: Option<&Arc<ImageMask>>,
     ) -> ReferenceKeyframe {
         let pyramid = Pyramid::new(image, self.config.flow.levels);
-        let (pose, mask) = (at_origin(&at.pose), mask.cloned());
-        ReferenceKeyframe { camera: at.camera, pyramid, pose, mask, view: None }
+        let (pose, mask) = (at.over_ground(), mask.cloned());
+        ReferenceKeyframe { at: *at, pyramid, pose, mask, view: None }
     }
 
     /// The overlap: the share of a keyframe's view, with height, roll and pitch of `from`, that is
     /// in view of one with those of `to` at `motion`.
     pub fn overlap(&self, from: &CameraPose, to: &CameraPose, motion: &Vector4<f64>) -> f64 {
-        let here = at_origin(&from.pose);
-        let there = ViewingPose::new(self.placed(&here, &to.pose, motion));
+        let (here, motion) = (from.over_ground(), from.on_ground(&to.pose, motion));
+        let there = ViewingPose::new(self.placed(&here, &to.over_ground(), &motion));
         overlap(&here, &self.of(from.camera).rays, &self.of(to.camera).camera, &there)
     }
 
@@ -199,11 +225,12 @@ impl Matcher {
         off_px: f64,
     ) -> Option<LoopSighting> {
         let keyframe = &query.keyframe;
-        let prediction = self.placed(&keyframe.pose, &reference.pose, motion);
-        let MatcherCamera { camera, config, .. } = self.of(reference.camera);
-        if reference.camera != query.camera {
+        let motion = query.at.on_ground(&reference.at.pose, motion);
+        let prediction = self.placed(&keyframe.pose, &reference.pose, &motion);
+        let MatcherCamera { camera, config, .. } = self.of(reference.at.camera);
+        if reference.at.camera != query.at.camera {
             // The tracker would make it with the camera of the image in which it looks.
-            keyframe.dense(&self.of(query.camera).camera);
+            keyframe.dense(&self.of(query.at.camera).camera);
         }
         // Height and tilt of both are known; the prior widens if the recording contradicts it.
         let learned = Learned::new(&prediction);
@@ -221,12 +248,9 @@ impl Matcher {
         let whole =
             if found.agreement.is_none() { self.refined(query, reference, &found, &learned) } else { None };
         let estimate = whole.unwrap_or(found.estimate);
-        self.sighting(
-            query,
-            &estimate,
-            (inliers, inlier_ratio),
-            if still { UNMODELLED_PX } else { UNMODELLED_MOVING_PX },
-        )
+        let off_px = if still { UNMODELLED_PX } else { UNMODELLED_MOVING_PX };
+        let unevenness = query.at.unevenness().hypot(reference.at.unevenness());
+        self.sighting(query, &estimate, (inliers, inlier_ratio), off_px, unevenness)
     }
 
     /// How the images of the query and of a registered reference differ; `None` if too little
@@ -237,7 +261,7 @@ impl Matcher {
         reference: &ReferenceKeyframe,
         registered: &LoopSighting,
     ) -> Option<Likeness> {
-        let QueryKeyframe { camera, keyframe } = query;
+        let QueryKeyframe { at: CameraPose { camera, .. }, keyframe } = query;
         let here = RegisteredImage {
             camera: &self.of(*camera).camera,
             pyramid: &keyframe.pyramid,
@@ -245,7 +269,7 @@ impl Matcher {
             mask: keyframe.mask.as_deref(),
         };
         let there = RegisteredImage {
-            camera: &self.of(reference.camera).camera,
+            camera: &self.of(reference.at.camera).camera,
             pyramid: &reference.pyramid,
             pose: registered.pose,
             mask: reference.mask.as_deref(),
@@ -264,17 +288,17 @@ impl Matcher {
         learned: &Learned,
     ) -> Option<MotionEstimate> {
         let keyframe = &query.keyframe;
-        let MatcherCamera { camera, config, .. } = self.of(reference.camera);
+        let MatcherCamera { camera, config, .. } = self.of(reference.at.camera);
         let motion = &config.motion;
         let corners = &found.estimate;
         let spread = |estimate: &MotionEstimate| estimate.covariance[(0, 0)] + estimate.covariance[(1, 1)];
-        let pixel_m = self.pixel_m(&query.place());
+        let pixel_m = self.pixel_m(&query.at);
         if spread(corners) < 2.0 * (UNMODELLED_PX * pixel_m).powi(2) {
             return None;
         }
         let image = DenseImage::new(reference.pyramid.base()).without(reference.mask.clone());
         let prior = learned.rig_prior.prior(&found.prediction, motion);
-        let reference = keyframe.dense(&self.of(query.camera).camera);
+        let reference = keyframe.dense(&self.of(query.at.camera).camera);
         let whole = dense::refine(camera, reference, &image, &corners.pose, &prior, motion)?;
         let off_m =
             (whole.estimate.pose.x_m - corners.pose.x_m).hypot(whole.estimate.pose.y_m - corners.pose.y_m);
@@ -285,22 +309,23 @@ impl Matcher {
         (is_significant && spread(&whole.estimate) < spread(corners)).then_some(whole.estimate)
     }
 
-    /// The sighting of a keyframe, with the number and the share of its corners that were found.
+    /// The sighting of a keyframe, with the number and the share of its corners that were found,
+    /// over ground off its plane by this part of the height.
     fn sighting(
         &self,
         query: &QueryKeyframe,
         estimate: &MotionEstimate,
         (inliers, inlier_ratio): (usize, f64),
         off_px: f64,
+        unevenness: f64,
     ) -> Option<LoopSighting> {
-        let (keyframe, camera) = (&query.keyframe, &self.of(query.camera).camera);
-        let pose = &estimate.pose;
-        let off_px = off_px.powi(2);
-        let off_m2 = off_px * self.pixel_m(&query.place()).powi(2);
-        let off_rad2 = off_px / (0.5 * camera.width().min(camera.height()) as f64).powi(2);
+        let (keyframe, pose) = (&query.keyframe, &estimate.pose);
+        let parallax_m = unevenness * (pose.x_m - keyframe.pose.x_m).hypot(pose.y_m - keyframe.pose.y_m);
+        let off_m2 = (off_px * self.pixel_m(&query.at)).powi(2) + parallax_m * parallax_m;
+        let off_rad2 = off_m2 / (0.5 * self.view_m(&query.at)).powi(2);
         let unmodelled = Matrix4::from_diagonal(&Vector4::new(off_m2, off_m2, off_rad2, 0.0));
         let sighting = LoopSighting {
-            motion: relative_motion(&keyframe.pose, pose),
+            motion: query.at.motion_to(pose),
             covariance: motion_covariance(&keyframe.pose, pose, &estimate.covariance) + unmodelled,
             pose: *pose,
             inliers,
@@ -318,11 +343,11 @@ impl Matcher {
         motion: &Vector4<f64>,
         heading_off_rad: f64,
     ) -> Vec<Guess> {
-        if query.camera != reference.camera {
+        if query.at.camera != reference.at.camera {
             // Views of different cameras differ in size and resolution.
             return Vec::new();
         }
-        let registration = &self.of(query.camera).registration;
+        let registration = &self.of(query.at.camera).registration;
         if reference.view.is_none() {
             reference.view =
                 registration.view(&reference.pyramid, reference.mask.as_deref(), &reference.pose);
@@ -337,7 +362,7 @@ impl Matcher {
         };
         let here = &query.keyframe.pose;
         let guess = |hypothesis: crate::motion::Hypothesis| Guess {
-            motion: relative_motion(here, &hypothesis.pose(here, &reference.pose)),
+            motion: query.at.motion_to(&hypothesis.pose(here, &reference.pose)),
             score: hypothesis.score,
         };
         registration.register(from, to, &options).into_iter().map(guess).collect()
@@ -399,7 +424,7 @@ mod tests {
             let (sin, cos) = (1.3 * turn).sin_cos();
             let heading_rad = 2.6 * turn;
             let there = GroundPose { x_m: here.x_m + 0.2 * cos, y_m: 0.2 * sin, heading_rad, ..here };
-            let at = |pose: GroundPose| CameraPose { camera: CameraIndex::default(), pose };
+            let at = |pose: GroundPose| CameraPose { camera: CameraIndex::default(), pose, ground: None };
             let query = matcher.query(picture(&here), &at(here), None);
             let reference = matcher.reference(picture(&there), &at(there), None);
             let truth = relative_motion(&here, &there);

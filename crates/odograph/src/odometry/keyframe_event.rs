@@ -6,7 +6,7 @@ use crate::fixed_pattern::ImageMask;
 use crate::geometry::GroundPose;
 use crate::image::GrayImage;
 use crate::keyframe::relative_pose::{motion_covariance, relative_motion};
-use crate::keyframe::{EdgeKind, KeyframeId, MapEdge};
+use crate::keyframe::{EdgeKind, GroundInView, KeyframeId, MapEdge};
 use crate::motion::global_image;
 use nalgebra::Matrix6;
 use std::sync::Arc;
@@ -42,6 +42,8 @@ pub struct NewKeyframe {
     pub image: GrayImage,
     /// What of it is known not to be ground.
     pub mask: Option<Arc<ImageMask>>,
+    /// The ground that it shows; `None` where that is the plane z = 0.
+    pub ground: Option<GroundInView>,
 }
 
 /// What the last frame was measured against.
@@ -109,6 +111,7 @@ impl Odometry {
             tie,
             image: global_image(&self.camera, keyframe.pyramid.base(), &keyframe.pose, &keyframe.shutter),
             mask: keyframe.mask.clone(),
+            ground: keyframe.ground_in_view(&self.camera),
         })));
     }
 

@@ -281,8 +281,8 @@ impl Learned {
         }
     }
 
-    /// Whether the last frames fitted the ground as it is known. A wrong lens is like curved ground,
-    /// but leaves residuals on known ground, too.
+    /// Whether the last frames fitted the ground as it is known. A wrong lens is like curved
+    /// ground, but leaves residuals on known ground, too.
     pub fn fits_ground(&self) -> bool {
         self.residual_px.is_some_and(|usual_px| usual_px < EXACT_PX)
     }

@@ -6,7 +6,7 @@
 
 use crate::geometry::GroundPoint;
 use crate::motion::{Elevation, GroundShape};
-use nalgebra::{SMatrix, SVector};
+use nalgebra::{Matrix3, SMatrix, SVector, Vector3};
 
 /// Points of the ground with their elevations, and how these vary with the distance.
 #[derive(Debug, Clone)]
@@ -78,6 +78,33 @@ impl Surface {
     /// The mean elevation of its points, metres.
     pub fn mean_m(&self) -> f64 {
         self.mean_m
+    }
+
+    /// The plane of least squares through the elevations at these points, weighted by what is known
+    /// of them: its elevation at `centre`, its slopes along x and y, and the standard deviation of
+    /// elevations about it. `None` where the points determine no plane.
+    pub fn plane(
+        &self,
+        points: impl Iterator<Item = GroundPoint>,
+        centre: GroundPoint,
+    ) -> Option<(f64, (f64, f64), f64)> {
+        let seen: Vec<_> = points.map(|point| (point, self.at(point))).collect();
+        let row = |point: &GroundPoint| Vector3::new(1.0, point.x_m - centre.x_m, point.y_m - centre.y_m);
+        let weight = |elevation: &Elevation| 1.0 / (elevation.variance_m2 + PLANE_SIGMA_M * PLANE_SIGMA_M);
+        let (mut normal, mut right) = (Matrix3::zeros(), Vector3::zeros());
+        for (point, elevation) in &seen {
+            let (row, weight) = (row(point), weight(elevation));
+            normal += weight * row * row.transpose();
+            right += weight * elevation.mean_m * row;
+        }
+        let plane = normal.cholesky()?.solve(&right);
+        // What is not known weighs less here, too: the rest determines the plane.
+        let off_m2 = |(point, elevation): &(GroundPoint, Elevation)| {
+            (elevation.mean_m - plane.dot(&row(point))).powi(2) + elevation.variance_m2
+        };
+        let squares_m2: f64 = seen.iter().map(|seen| weight(&seen.1) * off_m2(seen)).sum();
+        let relief_m = (squares_m2 / normal[(0, 0)] + PLANE_SIGMA_M * PLANE_SIGMA_M).sqrt();
+        Some((plane.x, (plane.y, plane.z), relief_m))
     }
 
     /// Mean of the ground about which stones vary, metres.
@@ -162,6 +189,10 @@ impl Surface {
         nearest
     }
 }
+
+/// Least standard deviation of elevations about a plane, metres. Elevations of a kerb carry a
+/// common error from keyframe to keyframe: beyond it, at 0.9 m, the scale is off by 0.06 to 0.1 %.
+const PLANE_SIGMA_M: f64 = 0.002;
 
 /// Elevations are never taken to be known better than this, metres.
 const LEAST_SIGMA_M: f64 = 1e-5;

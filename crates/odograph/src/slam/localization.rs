@@ -49,7 +49,7 @@ impl Mapper {
                 camera.height()
             )));
         }
-        let at = CameraPose { camera: CameraIndex::default(), pose: *tilt };
+        let at = CameraPose { camera: CameraIndex::default(), pose: *tilt, ground: None };
         let query = self.matcher.query(image, &at, self.map.newest_mask());
         let signature = self.matcher.signature(&query, &self.places_config);
         // No keyframe has this number: nothing connects the image to the map.

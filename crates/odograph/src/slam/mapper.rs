@@ -9,7 +9,7 @@ use crate::geometry::pose_index::{HEIGHT, ROLL};
 use crate::geometry::{GroundPose, propagated};
 use crate::ground_map::{GroundMap, KeyframeImage, KeyframeStore, MapKeyframe};
 use crate::image::RgbImage;
-use crate::keyframe::{EdgeKind, KeyframeId, MapEdge};
+use crate::keyframe::{EdgeKind, GroundInView, KeyframeId, MapEdge};
 use crate::landmark::MarkerRecord;
 use crate::loop_closure::matching::{CameraIndex, CameraPose, Matcher};
 use crate::loop_closure::{LoopClosure, LoopClosureConfig};
@@ -50,6 +50,8 @@ pub struct Mapper {
     pub(super) compared: ComparedKeyframes,
     /// The cameras of the sessions, where they are not the first.
     pub(super) cameras: BTreeMap<u32, CameraIndex>,
+    /// The ground that keyframes of this run see, where it is not the plane z = 0.
+    grounds: BTreeMap<KeyframeId, GroundInView>,
     /// Whether loop closure is suspended to keep up with the camera.
     is_suspended: bool,
     /// The markers that the session has seen.
@@ -96,6 +98,7 @@ impl Mapper {
             first: 0,
             compared: ComparedKeyframes::All,
             cameras: BTreeMap::new(),
+            grounds: BTreeMap::new(),
             is_suspended: false,
             landmarks: MarkerRecord::default(),
             is_surveyed: false,
@@ -213,7 +216,7 @@ impl Mapper {
     ) -> Result<()> {
         self.set_mask(session, new.mask.clone());
         let camera = self.cameras.get(&session).copied().unwrap_or_default();
-        let at = CameraPose { camera, pose: new.pose };
+        let at = CameraPose { camera, pose: new.pose, ground: new.ground };
         let query = self.matcher.query(new.image.clone(), &at, new.mask.as_ref());
         let signature = self.matcher.signature(&query, &self.places_config);
         let id = self.insert(&new, session, edges, signature);
@@ -376,7 +379,8 @@ impl Mapper {
     /// Camera, height, roll and pitch with which a keyframe was taken.
     pub(super) fn seen_from(&self, id: KeyframeId) -> Option<CameraPose> {
         let MapKeyframe { session, odometry_pose: pose, .. } = *self.keyframe(id)?;
-        Some(CameraPose { camera: self.cameras.get(&session).copied().unwrap_or_default(), pose })
+        let camera = self.cameras.get(&session).copied().unwrap_or_default();
+        Some(CameraPose { camera, pose, ground: self.grounds.get(&id).copied() })
     }
 
     pub(super) fn keyframe(&self, id: KeyframeId) -> Option<&MapKeyframe> {
@@ -399,6 +403,7 @@ impl Mapper {
         };
         self.graph.insert(id, pose, new.pose.height_m);
         self.index.insert(id, self.map.keyframes.len());
+        new.ground.into_iter().for_each(|ground| _ = self.grounds.insert(id, ground));
         self.map.keyframes.push(MapKeyframe {
             id,
             session,

@@ -65,6 +65,7 @@ pub fn merge(
             tie: None,
             image: image.gray,
             mask: other.masks.get(&keyframe.session).cloned(),
+            ground: None,
         };
         mapper.made(new, keyframe.session, &edges, image.color, images)?;
         // Its height is now that of the other map.

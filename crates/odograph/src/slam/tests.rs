@@ -393,6 +393,7 @@ fn bent_lanes_that_see_each_other_come_out_straight() {
             tie,
             image: world.image(Some(*place), i as u64),
             mask: None,
+            ground: None,
         };
         mapper.take(KeyframeEvent::Made(Box::new(new)), None, &mut images).unwrap();
     }

@@ -3,10 +3,12 @@
 use super::super::found_corner::FoundCorner;
 use super::super::surface::Surface;
 use super::corner::KeyCorner;
+use super::overlap::image_grid;
 use super::projection::GroundProjection;
 use super::{Keyframe, MARGIN_PX};
 use crate::camera::Camera;
 use crate::geometry::{GroundPoint, GroundPose};
+use crate::keyframe::GroundInView;
 use crate::motion::{
     Elevation, GroundPatch, GroundShape, MAX_KERB_HEIGHT, MeasuredElevation, MotionEstimate, Roughness,
     ShapeEstimate, ViewingPose,
@@ -160,6 +162,17 @@ impl Keyframe {
             self.shape = Some(shape);
         }
         roughness
+    }
+
+    /// The plane of the ground in view, as earlier keyframes have measured it; `None` where the
+    /// ground is flat.
+    pub fn ground_in_view(&self, camera: &Camera) -> Option<GroundInView> {
+        let surface = self.surface.as_ref()?;
+        let points =
+            image_grid(camera).into_iter().flatten().filter_map(|ray| self.pose.ground_from_ray(ray));
+        let below = GroundPoint::new(self.pose.x_m, self.pose.y_m);
+        let (elevation_m, slopes, relief_m) = surface.plane(points, below)?;
+        Some(GroundInView::new(&self.pose, elevation_m, slopes, relief_m))
     }
 
     /// The ground as it is known now, where elevations have this variance; `None` where it is flat.
