@@ -9,8 +9,9 @@ Needs nothing but Python 3 and cargo. `build` copies the workspace to `--work` a
 each constant of the rooms below becomes a function that one run-time switch multiplies by 2 or by
 1/2, and each single-line condition of an `if` can be forced to hold or not to hold. What does not
 compile that way (lengths of arrays, `const fn`) keeps its form. `measure` then follows rendered
-drives with one override at a time, each over the three drives that reach it and most else. A result
-that is equal to the last byte shows that an override has no effect on them.
+drives with one override at a time, each over the drives that reach it. A result that is equal to
+the last byte shows that an override has no effect on them. All of it takes a night on two cores;
+`--only fixed_pattern --drives 5` is faster, over the drives that reach most.
 """
 
 import argparse
@@ -37,7 +38,6 @@ DRIVES = (
     "blackout-2s h264-qp28 loop dropped roll20-hand wind lost-blocks snow dead-lines overlay "
     "wheel-concrete torn duplicated interlaced"
 ).split()
-MOST_DRIVES = 3
 CONSTANT = re.compile(
     r"^( *)((?:pub(?:\([a-z: ]+\))? )?)const ([A-Z][A-Z_0-9]*): (f64|f32|usize|u32|u64|i32|i64|u8) =\s([^;]*);",
     re.M,
@@ -218,7 +218,7 @@ class Worker:
         return None
 
 
-def jobs(items, baseline):
+def jobs(items, baseline, most):
     """What is to be overridden by what, and over which drives."""
     reach = [[drive for drive, row in enumerate(baseline) if row["reached"][item["id"]]] for item in items]
     richness = [sum(drive in one for one in reach) for drive in range(len(DRIVES))]
@@ -227,7 +227,7 @@ def jobs(items, baseline):
         for item, drives in zip(items, reach):
             if item["kind"] == kind:
                 ones = [drive for drive in drives if baseline[drive]["reached"][item["id"]] & bit]
-                yield item, factor, sorted(ones, key=lambda drive: -richness[drive])[:MOST_DRIVES]
+                yield item, factor, sorted(ones, key=lambda drive: -richness[drive])[:most]
 
 
 def key_of(item, factor):
@@ -242,7 +242,7 @@ def measure(arguments):
         done = {json.loads(line)["key"] for line in output.read_text().splitlines()}
     first = Worker(arguments.work)
     (arguments.work / "baseline.json").write_text(json.dumps(first.baseline))
-    todo = [job for job in jobs(items, first.baseline) if key_of(job[0], job[1]) not in done and arguments.only in job[0]["file"]]
+    todo = [job for job in jobs(items, first.baseline, arguments.drives) if key_of(job[0], job[1]) not in done and arguments.only in job[0]["file"]]
     print(len(todo), "overrides", flush=True)
     lock = threading.Lock()
 
@@ -303,6 +303,7 @@ def main():
     parser.add_argument("output", nargs="?", type=Path)
     parser.add_argument("--work", type=Path, default=Path("/tmp/ablation"))
     parser.add_argument("--workers", type=int, default=2)
+    parser.add_argument("--drives", type=int, default=len(DRIVES), help="drives per override, at most")
     parser.add_argument("--only", default="", help="part of the file's name")
     arguments = parser.parse_args()
     {"build": build, "measure": measure, "table": table}[arguments.command](arguments)

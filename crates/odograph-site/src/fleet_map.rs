@@ -115,6 +115,7 @@ impl FleetMap {
             segment,
             pose: keyframe.pose(),
             covariance: keyframe.covariance(),
+            systematic: nalgebra::Matrix6::zeros(),
             tie: None,
             image: picture.gray,
             mask: mask.clone(),

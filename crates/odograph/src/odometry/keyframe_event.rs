@@ -35,6 +35,9 @@ pub struct NewKeyframe {
     pub pose: GroundPose,
     /// Covariance of the pose against the start of the run, (x, y, heading, height, roll, pitch).
     pub covariance: Matrix6<f64>,
+    /// Its part by errors of readout time, mount, lens and level, which are the same all along the
+    /// path: no loop shows them.
+    pub systematic: Matrix6<f64>,
     /// Pose relative to the keyframe it was measured against or, after a gap, to the last one;
     /// `None` for the first.
     pub tie: Option<MapEdge>,
@@ -101,13 +104,18 @@ impl Odometry {
             motion: relative_motion(&before.pose, &before.frame),
             covariance: motion_covariance(&before.pose, &before.frame, &before.covariance),
         });
+        let systematic = keyframe.model_covariance
+            + self.learned.readout_covariance(&keyframe.by_readout)
+            + self.learned.mount_covariance(&keyframe.by_mount_tilt)
+            + self.learned.level_covariance(&keyframe.pose);
         events.push(KeyframeEvent::Made(Box::new(NewKeyframe {
             id,
             frame,
             time_s,
             segment: self.segment,
             pose: keyframe.pose,
-            covariance: keyframe.covariance + keyframe.model_covariance,
+            covariance: keyframe.covariance + systematic,
+            systematic,
             tie,
             image: global_image(&self.camera, keyframe.pyramid.base(), &keyframe.pose, &keyframe.shutter),
             mask: keyframe.mask.clone(),

@@ -6,7 +6,7 @@ use crate::camera::{Camera, Rig};
 use crate::error::Result;
 use crate::fixed_pattern::ImageMask;
 use crate::geometry::pose_index::{HEIGHT, ROLL};
-use crate::geometry::{GroundPose, propagated};
+use crate::geometry::{GroundPose, PlaneTransform, Se2, propagated};
 use crate::ground_map::{GroundMap, KeyframeImage, KeyframeStore, MapKeyframe};
 use crate::image::RgbImage;
 use crate::keyframe::{EdgeKind, GroundInView, KeyframeId, MapEdge};
@@ -50,6 +50,8 @@ pub struct Mapper {
     pub(super) compared: ComparedKeyframes,
     /// The cameras of the sessions, where they are not the first.
     pub(super) cameras: BTreeMap<u32, CameraIndex>,
+    /// Covariances of keyframes of this run by errors that no loop shows.
+    systematic: BTreeMap<KeyframeId, Matrix6<f64>>,
     /// The ground that keyframes of this run see, where it is not the plane z = 0.
     grounds: BTreeMap<KeyframeId, GroundInView>,
     /// Whether loop closure is suspended to keep up with the camera.
@@ -98,6 +100,7 @@ impl Mapper {
             first: 0,
             compared: ComparedKeyframes::All,
             cameras: BTreeMap::new(),
+            systematic: BTreeMap::new(),
             grounds: BTreeMap::new(),
             is_suspended: false,
             landmarks: MarkerRecord::default(),
@@ -288,6 +291,12 @@ impl Mapper {
                 whole[(HEIGHT, HEIGHT)] = height_variance; // of the rig, or of odometry
             }
             whole.fixed_view_mut::<2, 2>(ROLL, ROLL).copy_from(&tilt);
+            if let Some(systematic) = self.systematic.get(&keyframe.id) {
+                let turn = Se2::rotation(keyframe.pose.heading_rad - keyframe.odometry_pose.heading_rad);
+                let systematic = systematic.fixed_view::<3, 3>(0, 0).into_owned();
+                let mut plane = whole.fixed_view_mut::<3, 3>(0, 0);
+                plane += propagated(&turn.product_by_right(), &systematic);
+            }
             keyframe.covariance = whole;
         }
     }
@@ -403,6 +412,7 @@ impl Mapper {
         };
         self.graph.insert(id, pose, new.pose.height_m);
         self.index.insert(id, self.map.keyframes.len());
+        self.systematic.insert(id, new.systematic);
         new.ground.into_iter().for_each(|ground| _ = self.grounds.insert(id, ground));
         self.map.keyframes.push(MapKeyframe {
             id,

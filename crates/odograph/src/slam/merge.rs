@@ -62,6 +62,7 @@ pub fn merge(
             // All its sessions share one frame of reference: that of the other map.
             pose: keyframe.pose,
             covariance: keyframe.covariance,
+            systematic: nalgebra::Matrix6::zeros(),
             tie: None,
             image: image.gray,
             mask: other.masks.get(&keyframe.session).cloned(),

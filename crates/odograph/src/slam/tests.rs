@@ -390,6 +390,7 @@ fn bent_lanes_that_see_each_other_come_out_straight() {
             segment: 0,
             pose,
             covariance: Matrix6::zeros(),
+            systematic: Matrix6::zeros(),
             tie,
             image: world.image(Some(*place), i as u64),
             mask: None,
