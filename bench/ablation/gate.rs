@@ -13,7 +13,7 @@ use std::panic::{AssertUnwindSafe, catch_unwind};
 use std::process::ExitCode;
 use std::sync::atomic::Ordering::Relaxed;
 
-/// Reads `ID FACTOR ROW…` lines and writes the figures of each row as JSON.
+/// Reads lines of an identity, a factor and indices of drives, and writes their figures as JSON.
 pub fn main(names: &[String]) -> ExitCode {
     std::panic::set_hook(Box::new(|_| {}));
     let all: Vec<BenchmarkRow> = crate::rows::rows().into_iter().chain(crate::field::rows()).collect();

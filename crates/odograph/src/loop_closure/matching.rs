@@ -30,7 +30,7 @@ pub struct CameraIndex(usize);
 pub struct CameraPose {
     pub camera: CameraIndex,
     pub pose: GroundPose,
-    /// `None` where that is the plane z = 0.
+    /// `None` where that is the plane z = 0, or not known.
     pub ground: Option<GroundInView>,
 }
 
@@ -38,15 +38,6 @@ impl CameraPose {
     /// Height, roll and pitch over the ground in view, at the origin.
     fn over_ground(&self) -> GroundPose {
         self.ground.map_or(at_origin(&self.pose), |ground| ground.camera)
-    }
-
-    /// A motion to a camera `to`, in the frame of the plane in view.
-    fn on_ground(&self, to: &GroundPose, motion: &Vector4<f64>) -> Vector4<f64> {
-        let Some(ground) = &self.ground else { return *motion };
-        let (roll_rad, pitch_rad) = (to.roll_rad, to.pitch_rad);
-        let there = GroundPose { roll_rad, pitch_rad, ..compose(&at_origin(&self.pose), motion, 1.0) };
-        let there = ground.plane_from_ground(&self.pose) * there.world_from_camera();
-        relative_motion(&ground.camera, &GroundPose::from_world_from_camera(&there))
     }
 
     /// The motion to a pose in the frame of the plane in view.
@@ -88,7 +79,8 @@ pub struct LoopSighting {
     /// As [`crate::keyframe::MapEdge::motion`].
     pub motion: Vector4<f64>,
     pub covariance: Matrix4<f64>,
-    /// Pose of the reference's camera in the query's frame, height and tilt as measured here.
+    /// Pose of the reference's camera in the frame of the plane that the query sees, height and
+    /// tilt as measured here.
     pub pose: GroundPose,
     /// Number of inliers, and their share of the corners that should be in view.
     pub inliers: usize,
@@ -187,17 +179,23 @@ impl Matcher {
     /// The overlap: the share of a keyframe's view, with height, roll and pitch of `from`, that is
     /// in view of one with those of `to` at `motion`.
     pub fn overlap(&self, from: &CameraPose, to: &CameraPose, motion: &Vector4<f64>) -> f64 {
-        let (here, motion) = (from.over_ground(), from.on_ground(&to.pose, motion));
-        let there = ViewingPose::new(self.placed(&here, &to.over_ground(), &motion));
-        overlap(&here, &self.of(from.camera).rays, &self.of(to.camera).camera, &there)
+        let there = ViewingPose::new(self.placed(from, to, motion));
+        overlap(&from.over_ground(), &self.of(from.camera).rays, &self.of(to.camera).camera, &there)
     }
 
-    /// The pose at `motion` from `from`, with roll and pitch of `to`. Its height is that of `to`
-    /// too, unless heights drift: then it is the measured one.
-    fn placed(&self, from: &GroundPose, to: &GroundPose, motion: &Vector4<f64>) -> GroundPose {
-        let predicted = compose(from, motion, 1.0);
-        let height_m = if self.scale_is_free() { predicted.height_m } else { to.height_m };
-        GroundPose { height_m, roll_rad: to.roll_rad, pitch_rad: to.pitch_rad, ..predicted }
+    /// The pose of a camera `to` at `motion` from `from`, in the frame of the plane that `from`
+    /// sees, with height and tilt of `to`: over the ground that it sees, where both know theirs.
+    /// Where heights drift, the height is the measured one.
+    fn placed(&self, from: &CameraPose, to: &CameraPose, motion: &Vector4<f64>) -> GroundPose {
+        let with_tilt_of = |there: GroundPose, to: &GroundPose| {
+            let height_m = if self.scale_is_free() { there.height_m } else { to.height_m };
+            GroundPose { height_m, roll_rad: to.roll_rad, pitch_rad: to.pitch_rad, ..there }
+        };
+        let there = with_tilt_of(compose(&at_origin(&from.pose), motion, 1.0), &to.pose);
+        let Some(ground) = &from.ground else { return there };
+        let there = ground.plane_from_ground(&from.pose) * there.world_from_camera();
+        let there = GroundPose::from_world_from_camera(&there);
+        to.ground.map_or(there, |own| with_tilt_of(there, &own.camera))
     }
 
     fn scale_is_free(&self) -> bool {
@@ -225,8 +223,7 @@ impl Matcher {
         off_px: f64,
     ) -> Option<LoopSighting> {
         let keyframe = &query.keyframe;
-        let motion = query.at.on_ground(&reference.at.pose, motion);
-        let prediction = self.placed(&keyframe.pose, &reference.pose, &motion);
+        let prediction = self.placed(&query.at, &reference.at, motion);
         let MatcherCamera { camera, config, .. } = self.of(reference.at.camera);
         if reference.at.camera != query.at.camera {
             // The tracker would make it with the camera of the image in which it looks.

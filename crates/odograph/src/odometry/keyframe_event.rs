@@ -35,8 +35,8 @@ pub struct NewKeyframe {
     pub pose: GroundPose,
     /// Covariance of the pose against the start of the run, (x, y, heading, height, roll, pitch).
     pub covariance: Matrix6<f64>,
-    /// Its part by errors of readout time, mount, lens and level, which are the same all along the
-    /// path: no loop shows them.
+    /// Its part by systematic errors: those of the readout time and the mount, which are the same
+    /// all along the path, so that loops agree with a path that has them.
     pub systematic: Matrix6<f64>,
     /// Pose relative to the keyframe it was measured against or, after a gap, to the last one;
     /// `None` for the first.
@@ -45,7 +45,7 @@ pub struct NewKeyframe {
     pub image: GrayImage,
     /// What of it is known not to be ground.
     pub mask: Option<Arc<ImageMask>>,
-    /// The ground that it shows; `None` where that is the plane z = 0.
+    /// The ground that it shows; `None` where that is the plane z = 0, or not known.
     pub ground: Option<GroundInView>,
 }
 
@@ -104,17 +104,15 @@ impl Odometry {
             motion: relative_motion(&before.pose, &before.frame),
             covariance: motion_covariance(&before.pose, &before.frame, &before.covariance),
         });
-        let systematic = keyframe.model_covariance
-            + self.learned.readout_covariance(&keyframe.by_readout)
-            + self.learned.mount_covariance(&keyframe.by_mount_tilt)
-            + self.learned.level_covariance(&keyframe.pose);
+        let systematic = self.learned.readout_covariance(&keyframe.by_readout)
+            + self.learned.mount_covariance(&keyframe.by_mount_tilt);
         events.push(KeyframeEvent::Made(Box::new(NewKeyframe {
             id,
             frame,
             time_s,
             segment: self.segment,
             pose: keyframe.pose,
-            covariance: keyframe.covariance + systematic,
+            covariance: keyframe.covariance + keyframe.model_covariance + systematic,
             systematic,
             tie,
             image: global_image(&self.camera, keyframe.pyramid.base(), &keyframe.pose, &keyframe.shutter),

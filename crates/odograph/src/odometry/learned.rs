@@ -300,6 +300,6 @@ impl Learned {
     }
 }
 
-/// Where the ground as it is known left less than this, pixels, it was that. Half of what a frame
-/// must be off by to show a kerb.
+/// Residual, pixels, below which the ground as it is known explains the tracks: half of what shows
+/// a kerb (`POOR_PX`).
 const EXACT_PX: f64 = 0.05;

@@ -50,7 +50,7 @@ pub struct Mapper {
     pub(super) compared: ComparedKeyframes,
     /// The cameras of the sessions, where they are not the first.
     pub(super) cameras: BTreeMap<u32, CameraIndex>,
-    /// Covariances of keyframes of this run by errors that no loop shows.
+    /// Covariances of keyframes of this run by systematic errors, which loops do not show.
     systematic: BTreeMap<KeyframeId, Matrix6<f64>>,
     /// The ground that keyframes of this run see, where it is not the plane z = 0.
     grounds: BTreeMap<KeyframeId, GroundInView>,
@@ -291,7 +291,8 @@ impl Mapper {
                 whole[(HEIGHT, HEIGHT)] = height_variance; // of the rig, or of odometry
             }
             whole.fixed_view_mut::<2, 2>(ROLL, ROLL).copy_from(&tilt);
-            if let Some(systematic) = self.systematic.get(&keyframe.id) {
+            // Surveyed points show them.
+            if let Some(systematic) = self.systematic.get(&keyframe.id).filter(|_| !self.is_surveyed) {
                 let turn = Se2::rotation(keyframe.pose.heading_rad - keyframe.odometry_pose.heading_rad);
                 let systematic = systematic.fixed_view::<3, 3>(0, 0).into_owned();
                 let mut plane = whole.fixed_view_mut::<3, 3>(0, 0);

@@ -17,6 +17,13 @@ use crate::motion::{
 /// Ground within this part of the height is below the camera.
 const BELOW: f64 = 0.15;
 
+/// Ground beyond this distance, in heights, does not count in the plane of the ground in view.
+const FURTHEST_IN_HEIGHTS: f64 = 3.0;
+
+/// A camera lower than this part of its height over the plane of the ground in view is a plane that
+/// was extrapolated wrongly.
+const LOWEST_OVER_GROUND: f64 = 0.5;
+
 /// Frames whose tracks are off by more than this, pixels, show no kerb: the shutter rolls, or
 /// images are blurred.
 const KERB_PX: f64 = 0.3;
@@ -82,18 +89,18 @@ impl Keyframe {
         }
     }
 
-    /// Sets from where the keyframe before saw the ground, which is known.
+    /// Sets the pose of the keyframe before, whose ground is known.
     pub fn set_seen_before(&mut self, from: &GroundPose) {
         self.seen_before_from = Some(ViewingPose::new(*from));
     }
 
-    /// Whether some of its ground is new, and taken to be on the plane.
+    /// Whether some of its ground is new, and may be off what is known of the ground.
     pub fn may_leave_plane(&self) -> bool {
         self.seen_before_from.is_some() && !self.new_ground_is_kerb
     }
 
-    /// Ground that the keyframe before did not see is not the plane on which the camera has come:
-    /// its elevations are measured.
+    /// Ground that the keyframe before did not see is off what is known of the ground: its
+    /// elevations are measured.
     pub fn leave_plane(&mut self) {
         self.new_ground_is_kerb = true;
         let highest_m = MAX_KERB_HEIGHT * self.pose.height_m;
@@ -168,11 +175,14 @@ impl Keyframe {
     /// ground is flat.
     pub fn ground_in_view(&self, camera: &Camera) -> Option<GroundInView> {
         let surface = self.surface.as_ref()?;
-        let points =
-            image_grid(camera).into_iter().flatten().filter_map(|ray| self.pose.ground_from_ray(ray));
         let below = GroundPoint::new(self.pose.x_m, self.pose.y_m);
-        let (elevation_m, slopes, relief_m) = surface.plane(points, below)?;
-        Some(GroundInView::new(&self.pose, elevation_m, slopes, relief_m))
+        let rays = image_grid(camera).into_iter().flatten();
+        let points = rays.filter_map(|ray| self.pose.ground_from_ray(ray));
+        let near = points.filter(|point| point.distance(below) < FURTHEST_IN_HEIGHTS * self.pose.height_m);
+        let (elevation_m, slopes, relief_m) = surface.plane(near, below)?;
+        let ground = GroundInView::new(&self.pose, elevation_m, slopes, relief_m);
+        // Below a camera that looks ahead the ground is extrapolated.
+        (ground.camera.height_m > LOWEST_OVER_GROUND * self.pose.height_m).then_some(ground)
     }
 
     /// The ground as it is known now, where elevations have this variance; `None` where it is flat.
