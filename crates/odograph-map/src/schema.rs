@@ -189,10 +189,14 @@ pub(crate) fn is_unfinished(path: &Path) -> bool {
     if !metadata.is_file() || metadata.len() == 0 {
         return metadata.is_file();
     }
-    // The write-ahead log may have the tables.
-    let flags = OpenFlags::SQLITE_OPEN_READ_ONLY | OpenFlags::SQLITE_OPEN_NO_MUTEX;
+    // The write-ahead log may have the tables. A reader cannot roll back what a killed program has
+    // begun.
     let number = |sql: &str| -> rusqlite::Result<i64> {
-        Connection::open_with_flags(path, flags)?.query_row(sql, [], |row| row.get(0))
+        let by = |access| {
+            let flags = access | OpenFlags::SQLITE_OPEN_NO_MUTEX;
+            Connection::open_with_flags(path, flags)?.query_row(sql, [], |row| row.get(0))
+        };
+        by(OpenFlags::SQLITE_OPEN_READ_ONLY).or_else(|_| by(OpenFlags::SQLITE_OPEN_READ_WRITE))
     };
     check_bytes(path).is_ok()
         && number("SELECT count(*) FROM sqlite_schema").is_ok_and(|tables| tables == 0)

@@ -120,3 +120,18 @@ fn a_replaced_map_keeps_nothing_of_the_log_of_a_killed_writer() {
     map.close().unwrap();
     assert_eq!(fs::read_dir(folder.path()).unwrap().count(), 1);
 }
+
+#[test]
+fn a_creation_that_was_killed_in_a_write_is_no_map() {
+    let folder = tempfile::tempdir().unwrap();
+    let (path, killed) = (folder.path().join("map.gpkg"), folder.path().join("killed.gpkg"));
+    let connection = rusqlite::Connection::open(&path).unwrap();
+    // A page on disk, then a transaction that has written its journal and the file, and no more.
+    connection.execute_batch("PRAGMA user_version = 1; PRAGMA cache_size = 1; BEGIN").unwrap();
+    connection.execute_batch("CREATE TABLE filler (bytes BLOB)").unwrap();
+    connection.execute_batch("INSERT INTO filler VALUES (zeroblob(1000000))").unwrap();
+    std::fs::copy(&path, &killed).unwrap();
+    std::fs::copy(folder.path().join("map.gpkg-journal"), folder.path().join("killed.gpkg-journal")).unwrap();
+    drop(connection);
+    assert!(!MapFile::is_there(&killed));
+}
