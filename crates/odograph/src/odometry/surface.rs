@@ -97,6 +97,9 @@ impl Surface {
             normal += weight * row * row.transpose();
             right += weight * elevation.mean_m * row;
         }
+        if seen.len() < 3 {
+            return None;
+        }
         let plane = normal.cholesky()?.solve(&right);
         // What is not known weighs less here, too: the rest determines the plane.
         let off_m2 = |(point, elevation): &(GroundPoint, Elevation)| {
@@ -362,6 +365,19 @@ mod tests {
         assert!(surface.is_smooth());
         let beyond = surface.at(GroundPoint::new(1.2, 0.42));
         assert!(beyond.variance_m2 > 10.0 * found.variance_m2, "unseen ground is not known");
+    }
+
+    #[test]
+    fn a_ramp_has_its_level_and_slopes() {
+        let surface = surface(|x, y| 0.02 + 0.08 * x - 0.03 * y);
+        let places = [(0.1, 0.1), (0.6, 0.1), (0.1, 0.6), (0.6, 0.6), (0.3, 0.4)];
+        let points = || places.into_iter().map(|(x_m, y_m)| GroundPoint::new(x_m, y_m));
+        let (level_m, slopes, relief_m) = surface.plane(points(), GroundPoint::new(0.5, 0.2)).unwrap();
+        assert!((level_m - 0.054).abs() < 1e-4, "{level_m}");
+        assert!((slopes.0 - 0.08).abs() < 1e-3 && (slopes.1 + 0.03).abs() < 1e-3, "{slopes:?}");
+        assert!(relief_m < 1.1 * PLANE_SIGMA_M, "{relief_m}");
+        let alone = surface.plane(points().take(2), GroundPoint::new(0.5, 0.2));
+        assert!(alone.is_none(), "two points determine no plane");
     }
 
     #[test]

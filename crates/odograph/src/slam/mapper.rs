@@ -291,7 +291,7 @@ impl Mapper {
                 whole[(HEIGHT, HEIGHT)] = height_variance; // of the rig, or of odometry
             }
             whole.fixed_view_mut::<2, 2>(ROLL, ROLL).copy_from(&tilt);
-            // Surveyed points show them.
+            // Surveyed points show systematic errors.
             if let Some(systematic) = self.systematic.get(&keyframe.id).filter(|_| !self.is_surveyed) {
                 let turn = Se2::rotation(keyframe.pose.heading_rad - keyframe.odometry_pose.heading_rad);
                 let systematic = systematic.fixed_view::<3, 3>(0, 0).into_owned();
@@ -413,8 +413,13 @@ impl Mapper {
         };
         self.graph.insert(id, pose, new.pose.height_m);
         self.index.insert(id, self.map.keyframes.len());
-        self.systematic.insert(id, new.systematic);
-        new.ground.into_iter().for_each(|ground| _ = self.grounds.insert(id, ground));
+        // A site has many keyframes, and knows neither of them.
+        if new.systematic != Matrix6::zeros() {
+            self.systematic.insert(id, new.systematic);
+        }
+        if let Some(ground) = new.ground {
+            self.grounds.insert(id, ground);
+        }
         self.map.keyframes.push(MapKeyframe {
             id,
             session,
