@@ -161,6 +161,10 @@ impl MultiPassCalibration {
             }
             CameraDifference::Readout(Readout { mean_s, variance_s2 }) => {
                 self.is_readout_found = true;
+                if mean_s != 0.0 {
+                    // Mount and lens were estimated as if the shutter were global.
+                    self.found = None;
+                }
                 self.set_readout(mean_s, variance_s2.sqrt());
             }
         }
@@ -217,7 +221,11 @@ impl CameraMonitor {
             return Some(CameraDifference::Readout(found));
         }
         let found = self.calibration.as_mut()?.watch(frame, odometry)?;
-        Some(CameraDifference::Calibration(Box::new(found)))
+        // Lens and tilt absorb the skew of a rolling shutter, so the readout time is decided first.
+        let readout = self.readout.as_ref().and_then(ReadoutEstimation::at_end);
+        Some(
+            readout.map_or_else(|| CameraDifference::Calibration(Box::new(found)), CameraDifference::Readout),
+        )
     }
 
     /// The check at the end of the recording ([`CalibrationMonitor::at_end`]).

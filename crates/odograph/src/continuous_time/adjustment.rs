@@ -91,6 +91,14 @@ struct NormalEquations {
     couplings: Vec<Coupling>,
 }
 
+/// An iteration.
+pub struct Step {
+    /// The Cholesky factor of the normal equations.
+    pub normal: Cholesky<f64, Dyn>,
+    /// Mahalanobis norm of the change of control points and readout time.
+    pub change: f64,
+}
+
 /// Gauss–Newton on a window.
 pub struct Adjusting<'a> {
     pub camera: &'a Camera,
@@ -107,8 +115,8 @@ pub struct Adjusting<'a> {
 
 impl Adjusting<'_> {
     /// One iteration, with the jerk of the greatest evidence (empirical Bayes: D. MacKay, *Bayesian
-    /// interpolation*, 1992). Returns the Cholesky factor of the normal equations.
-    pub fn step(&mut self, jerks: &[f64]) -> Option<Cholesky<f64, Dyn>> {
+    /// interpolation*, 1992).
+    pub fn step(&mut self, jerks: &[f64]) -> Option<Step> {
         let NormalEquations { matrix, vector, couplings } = self.normal_equations();
         let solve = |&jerk: &f64| {
             let (mut with_jerk, mut gradient) = (matrix.clone(), vector.clone());
@@ -126,13 +134,14 @@ impl Adjusting<'_> {
             log_evidence.is_finite().then_some((log_evidence, factor, control, change))
         };
         let best = jerks.iter().filter_map(solve).max_by(|a, b| a.0.total_cmp(&b.0));
-        let (_, factor, control, change) = best?;
+        let (_, normal, control, change) = best?;
         self.spline.control = control;
         self.readout_s += change[change.len() - 1];
         if let Some(elevations) = &mut self.elevations {
             elevations.update(&couplings, &change);
         }
-        Some(factor)
+        let change = normal.l().tr_mul(&change).norm();
+        Some(Step { normal, change })
     }
 
     /// Standard deviation of the tracks, pixels.

@@ -26,6 +26,9 @@ const MAX_RATE_DEVIATION: f64 = 0.1;
 const LEAST_FRAMES: usize = 4;
 const LEAST_TRACKS: usize = 100;
 
+/// Change of all unknowns together, standard deviations, below which an adjustment has converged.
+const CONVERGED: f64 = 1.0;
+
 /// The shape of the ground.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum Ground {
@@ -48,8 +51,8 @@ pub struct Window<'a> {
 }
 
 impl<'a> Window<'a> {
-    /// Adjusts the frames, with the readout time as it is expected. `None` where they determine no
-    /// motion.
+    /// Adjusts the frames in at most this number of iterations, with the readout time as it is
+    /// expected. `None` where they determine no motion.
     pub fn adjusted(
         camera: &Camera,
         readout: Readout,
@@ -87,9 +90,11 @@ impl<'a> Window<'a> {
             spline,
         };
         for _ in 1..iterations {
-            adjusting.step(&JERKS[..1])?;
+            if adjusting.step(&JERKS[..1])?.change < CONVERGED {
+                break;
+            }
         }
-        let normal = adjusting.step(&JERKS)?;
+        let normal = adjusting.step(&JERKS)?.normal;
         let sigma_px = adjusting.sigma_px();
         let Adjusting { spline, height_m, readout_s, .. } = adjusting;
         Some(Self { frames, spline, normal, height_m, readout_s, sigma_px })
