@@ -24,6 +24,8 @@ pub struct PatternNoise {
     is_active: bool,
     /// Images an interval apart, with the poses that the tracker gave them.
     earlier: VecDeque<(GrayImage, Option<GroundPose>)>,
+    /// Frames since the last of them in which the tracker was away from its pose there.
+    away: u64,
     /// Memory of an image that is no longer needed, for the next one.
     spare: Option<GrayImage>,
     /// The ground was seen to move and is assumed to go on until this frame.
@@ -44,6 +46,10 @@ const LEARNED_EVERY: u64 = 2;
 /// Motion below which the tracker stands, and least motion of the ground, pixels in an interval.
 const STANDS_PX: f64 = 2.0;
 const MOVES_PX: f64 = 6.0;
+
+/// The tracker moves if it is away from where it was in at least this many frames of an interval: a
+/// camera that vibrates on the spot may be back at the end of it.
+const AWAY_FRAMES: u64 = INTERVAL / 2;
 
 /// Largest turn in an interval, radians: 75°/s at 30 frames/s.
 const MOST_TURN_RAD: f64 = 0.35;
@@ -131,6 +137,7 @@ impl Odometry {
         pose: Option<GroundPose>,
         since_last: SinceLast,
     ) {
+        self.pattern_noise.away += u64::from(self.is_away(pose.as_ref()));
         let Some(image) = seen else { return };
         self.learn_from(&image, since_last);
         if self.pattern_noise.is_active || !self.frames.is_multiple_of(INTERVAL) {
@@ -139,6 +146,7 @@ impl Odometry {
         }
         let motion = self.look_for_motion(&image, pose.as_ref());
         let (frame, noise) = (self.frames, &mut self.pattern_noise);
+        noise.away = 0;
         match motion {
             MotionBelow::NotDue => {}
             MotionBelow::Unclear => noise.look_later(frame),
@@ -175,6 +183,16 @@ impl Odometry {
         }
     }
 
+    /// Whether a pose differs from that of the last image an interval apart.
+    fn is_away(&self, pose: Option<&GroundPose>) -> bool {
+        let before = self.pattern_noise.earlier.back().and_then(|(_, before)| before.as_ref());
+        before.zip(pose).is_some_and(|(before, pose)| self.moves_px(before, pose) > STANDS_PX)
+    }
+
+    fn moves_px(&self, from: &GroundPose, to: &GroundPose) -> f64 {
+        seen_apart(from, to) * self.camera.focal_px().0
+    }
+
     /// Whether the ground has moved from the last image but one to the last, and on to this one,
     /// while the tracker stood or was lost.
     fn look_for_motion(&self, image: &GrayImage, pose: Option<&GroundPose>) -> MotionBelow {
@@ -183,8 +201,7 @@ impl Odometry {
         let (Some((first, _)), Some((second, before))) = (earlier.next(), earlier.next()) else {
             return MotionBelow::NotDue;
         };
-        let moves_px = |from: &GroundPose, to: &GroundPose| seen_apart(from, to) * self.camera.focal_px().0;
-        if before.as_ref().zip(pose).is_some_and(|(before, pose)| moves_px(before, pose) > STANDS_PX) {
+        if self.is_away(pose) || noise.away >= AWAY_FRAMES {
             return MotionBelow::Followed;
         }
         if self.frames < noise.not_before {
@@ -203,7 +220,7 @@ impl Odometry {
             registration.register(&before, &now, &options).first().is_some_and(|found| {
                 found.score > LEAST_SCORE
                     && found.agreement > LEAST_AGREEMENT
-                    && moves_px(&from, &found.pose(&from, &from)) > MOVES_PX
+                    && self.moves_px(&from, &found.pose(&from, &from)) > MOVES_PX
             })
         };
         let stays = || {

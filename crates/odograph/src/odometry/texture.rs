@@ -18,29 +18,35 @@ pub enum TextureClass {
 }
 
 impl TextureClass {
-    /// Classifies an image two pyramid levels up, where the sensor's noise is averaged, outside the
-    /// mask.
+    /// Classifies an image outside the mask: two pyramid levels up, where the sensor's noise is
+    /// averaged, and one level up, where corners of noise compete with those of the ground.
     pub fn of(pyramid: &Pyramid, mask: Option<&Arc<ImageMask>>) -> Self {
-        let coarse = pyramid.level(2);
-        let config = DetectionConfig {
-            corners: ENOUGH_CORNERS,
-            minimum_distance_px: 5.0,
-            quality: 0.0,
-            ..Default::default()
-        };
         // A mask takes corners of the ground away, not the ground's texture.
         let open = 1.0 - mask.map_or(0.0, |mask| mask.share());
         let enough_corners = ((open * ENOUGH_CORNERS as f64).ceil() as usize).max(ENOUGH_OF_A_PATTERN);
-        let sought = Detection::new((coarse.width(), coarse.height()), &config, 3);
-        let corners = sought.without(mask.cloned(), 2).corners(coarse);
-        let are = |enough: usize, strength: f64| {
-            corners.iter().filter(|c| f64::from(c.strength) >= strength).count() >= enough
+        let strengths = |level: usize| -> Vec<f64> {
+            let image = pyramid.level(level);
+            let config = DetectionConfig {
+                corners: ENOUGH_CORNERS,
+                minimum_distance_px: f64::from(20u32 >> level),
+                quality: 0.0,
+                ..Default::default()
+            };
+            let sought = Detection::new((image.width(), image.height()), &config, 3);
+            let corners = sought.without(mask.cloned(), level as u32).corners(image);
+            corners.iter().map(|corner| f64::from(corner.strength)).collect()
         };
-        if !are(enough_corners, FAINT_STRENGTH) && !are(ENOUGH_OF_A_PATTERN, STRONG) {
+        let are = |strengths: &[f64], enough: usize, least: f64| {
+            strengths.iter().filter(|strength| **strength >= least).count() >= enough
+        };
+        let averaged = strengths(2);
+        if !are(&averaged, enough_corners, FAINT_STRENGTH) && !are(&averaged, ENOUGH_OF_A_PATTERN, STRONG) {
             return Self::Faint;
         }
-        let noise = noise_variance(pyramid.base());
-        if are(enough_corners, OVER_NOISE * noise) || are(ENOUGH_OF_A_PATTERN, WELL_OVER_NOISE * noise) {
+        let (noise, near) = (noise_variance(pyramid.base()), strengths(1));
+        if are(&near, enough_corners, OVER_NOISE * noise)
+            || are(&near, ENOUGH_OF_A_PATTERN, WELL_OVER_NOISE * noise)
+        {
             Self::Clear
         } else {
             Self::Drowned
@@ -61,12 +67,10 @@ const FAINT_STRENGTH: f64 = 0.25;
 /// squares whose gray levels differ by 11. It grows with the square of the difference.
 const STRONG: f64 = 5.0;
 
-/// Least strength of usable corners, in units of the noise variance; those of noise alone have
-/// 0.01. (Rendered concrete stays below from 8 gray levels of noise on, at 320x240 from 4; bricks,
-/// grass and carpet stay above at 12, where the crossings of joints have 0.5, but at 320x240 0.15,
-/// too little.)
-const OVER_NOISE: f64 = 0.1;
-const WELL_OVER_NOISE: f64 = 0.3;
+/// Least strength of usable corners one level up, in units of the noise variance; those of noise
+/// alone have up to 0.07.
+const OVER_NOISE: f64 = 0.15;
+const WELL_OVER_NOISE: f64 = 1.0;
 
 /// Noise variance of the sensor, (gray levels)²: that of the differences of diagonals in squares of
 /// 2x2 pixels. Fine texture adds to it. The thresholds above are in units of this mean, not of the
