@@ -134,7 +134,7 @@ impl ReadoutEstimation {
     /// Adjusts the best window. The readout time where it is known then.
     pub fn adjust(&mut self) -> Option<Readout> {
         let (_, frames) = self.best.take()?;
-        self.adjusted.extend(readout_of(&self.camera, &frames));
+        self.adjusted.extend(of_window(&self.camera, &frames));
         self.known()
     }
 
@@ -190,7 +190,7 @@ pub fn weighted_mean(readouts: &[(f64, f64)], factor: f64) -> Option<Readout> {
 /// The readout time of a window and its variance. Where a rolling shutter seems significant, but
 /// explains the tracks no better than a global one does, or is impossible, something else is in the
 /// tracks, which has at least that effect.
-fn readout_of(camera: &Camera, frames: &[WindowFrame]) -> Option<(f64, f64)> {
+pub fn of_window(camera: &Camera, frames: &[WindowFrame]) -> Option<(f64, f64)> {
     let adjusted = |deviation_s: f64, ground: Ground| {
         let readout = Readout { mean_s: 0.0, variance_s2: deviation_s * deviation_s };
         Window::adjusted(camera, readout, frames, &MeasuredMotion::default(), ground, ITERATIONS)

@@ -51,6 +51,10 @@ const MOVES_PX: f64 = 6.0;
 /// camera that vibrates on the spot may be back at the end of it.
 const AWAY_FRAMES: u64 = INTERVAL / 2;
 
+/// Least way of the tracker in two intervals in which a pattern is learned, pixels: a camera that
+/// vibrates on the spot would learn the ground.
+const GOES_ON_PX: f64 = 24.0;
+
 /// Largest turn in an interval, radians: 75°/s at 30 frames/s.
 const MOST_TURN_RAD: f64 = 0.35;
 
@@ -145,6 +149,7 @@ impl Odometry {
             return;
         }
         let motion = self.look_for_motion(&image, pose.as_ref());
+        let goes_on = self.fixed.is_everywhere() && self.goes_on(pose.as_ref());
         let (frame, noise) = (self.frames, &mut self.pattern_noise);
         noise.away = 0;
         match motion {
@@ -153,7 +158,7 @@ impl Odometry {
             MotionBelow::None => noise.look_again_at_once(),
             MotionBelow::Followed => {
                 noise.look_again_at_once();
-                if self.fixed.is_everywhere() {
+                if goes_on {
                     noise.learn_while_it_moves(&image, frame);
                 }
             }
@@ -187,6 +192,12 @@ impl Odometry {
     fn is_away(&self, pose: Option<&GroundPose>) -> bool {
         let before = self.pattern_noise.earlier.back().and_then(|(_, before)| before.as_ref());
         before.zip(pose).is_some_and(|(before, pose)| self.moves_px(before, pose) > STANDS_PX)
+    }
+
+    /// Whether a pose is far from that two intervals ago.
+    fn goes_on(&self, pose: Option<&GroundPose>) -> bool {
+        let first = self.pattern_noise.earlier.front().and_then(|(_, first)| first.as_ref());
+        first.zip(pose).is_some_and(|(first, pose)| self.moves_px(first, pose) > GOES_ON_PX)
     }
 
     fn moves_px(&self, from: &GroundPose, to: &GroundPose) -> f64 {

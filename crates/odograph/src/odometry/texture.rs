@@ -225,6 +225,24 @@ mod tests {
     }
 
     #[test]
+    fn smooth_ground_drowns_in_noise_that_fine_ground_exceeds() {
+        // Waves of 160 and of 24 pixels, 40 gray levels high, in noise of 5 gray levels.
+        let waves = |length: f64, amplitude: f64| {
+            let mut random = Random::new(3);
+            let mut image = GrayImage::new(640, 480);
+            for (index, sample) in image.samples_mut().iter_mut().enumerate() {
+                let wave = |at: usize| (std::f64::consts::TAU * at as f64 / length).sin();
+                let noise: f64 = (0..12).map(|_| random.below(1000) as f64 / 1000.0 - 0.5).sum();
+                let ground = amplitude * wave(index % 640) * wave(index / 640);
+                *sample = (120.0 + ground + 5.0 * noise) as u8;
+            }
+            Pyramid::new(image, 3)
+        };
+        assert_eq!(TextureClass::of(&waves(160.0, 20.0), None), TextureClass::Drowned);
+        assert_eq!(TextureClass::of(&waves(24.0, 20.0), None), TextureClass::Clear);
+    }
+
+    #[test]
     fn a_mask_does_not_make_the_rest_of_the_image_faint() {
         let mut shown = GrayImage::new(640, 480);
         shown.samples_mut().fill(255);

@@ -70,6 +70,17 @@ fn a_standing_camera_learns_no_pattern() {
 }
 
 #[test]
+fn a_camera_that_vibrates_on_the_spot_learns_no_pattern() {
+    let world = World::new("tiles");
+    // 5 px at 16.3 Hz: from one look to the next, every eight frames, the phase goes on by a third.
+    let shaken = |number: usize| 0.0075 * (2.0 * std::f64::consts::PI * 0.5417 * number as f64).sin();
+    let images = (0..150).map(|number| world.image(at(0.0, shaken(number), 0.0), number as u64));
+    let mut odometry = world.odometry();
+    process(&mut odometry, images);
+    assert!(odometry.correction().is_none());
+}
+
+#[test]
 fn the_pattern_is_found_where_the_ground_turns_below_it() {
     let world = World::new("concrete");
     // 54°/s.
