@@ -39,6 +39,7 @@ mod frame;
 mod nal;
 mod source_options;
 mod opened;
+mod arrival_clock;
 mod recorded_camera;
 mod contents;
 mod rotation;
@@ -56,6 +57,7 @@ mod source;
 mod inspection;
 mod avi_writer;
 
+pub use arrival_clock::ArrivalClock;
 pub use avi_writer::{AviFormat, AviWriter, jpeg_picture};
 pub use bag::{
     LiveMessage, LiveTopic, LiveTransforms, RecordedMount, is_recording_folder, is_robot_recording,

@@ -32,7 +32,7 @@ const MAX_STEP: f64 = 2.0;
 
 /// Clock of a camera that is known by the arrival of its frames.
 #[derive(Debug, Default)]
-pub(super) struct ArrivalClock {
+pub struct ArrivalClock {
     /// Number of each frame, those that are missing counted, and its arrival, seconds.
     arrivals: VecDeque<(f64, f64)>,
     count: f64,
