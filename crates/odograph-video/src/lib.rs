@@ -39,6 +39,7 @@ mod frame;
 mod nal;
 mod source_options;
 mod opened;
+mod time_order;
 mod arrival_clock;
 mod recorded_camera;
 mod contents;

@@ -144,7 +144,12 @@ impl RunBuilder {
                 )));
             }
             Some(source) => LiveGnss::Received(GnssReceiver::open(source)?),
-            None => LiveGnss::Recorded(GnssRecord::read(&plan.sensors, &plan.source.path)?),
+            None => {
+                let mut warnings = Vec::new();
+                let record = GnssRecord::read(&plan.sensors, &plan.source.path, &mut warnings)?;
+                warnings.iter().for_each(|warning| observer.warn(warning));
+                LiveGnss::Recorded(record)
+            }
         };
         let info = input.source.info().clone();
         let introduction = Introduction {

@@ -135,6 +135,105 @@ fn without_stamps_the_times_of_recording_are_used_with_a_warning() {
     assert!(warnings.len() == 1 && warnings[0].contains("on /image have no time stamp"), "{warnings:?}");
 }
 
+/// `drive.db3` with its messages changed: those of a topic, in the order in which they were
+/// recorded.
+fn changed(folder: &Path, topic: &str, change: impl Fn(&mut [Vec<u8>])) -> PathBuf {
+    let path = folder.join("changed.db3");
+    fs::copy(data("drive.db3"), &path).unwrap();
+    let database = rusqlite::Connection::open(&path).unwrap();
+    let of = "FROM messages WHERE topic_id = (SELECT id FROM topics WHERE name = ?1) ORDER BY rowid";
+    let rows: Vec<(i64, Vec<u8>)> = database
+        .prepare(&format!("SELECT rowid, data {of}"))
+        .unwrap()
+        .query_map([topic], |row| Ok((row.get(0)?, row.get(1)?)))
+        .unwrap()
+        .map(Result::unwrap)
+        .collect();
+    let (numbers, mut messages): (Vec<i64>, Vec<Vec<u8>>) = rows.into_iter().unzip();
+    change(&mut messages);
+    for (number, message) in numbers.iter().zip(messages) {
+        database.execute("UPDATE messages SET data = ?2 WHERE rowid = ?1", (number, message)).unwrap();
+    }
+    path
+}
+
+/// Moves the time in the header of a message in CDR by whole seconds.
+fn move_stamp(message: &mut [u8], seconds: i32) {
+    let stamp = i32::from_le_bytes(message[4..8].try_into().unwrap());
+    message[4..8].copy_from_slice(&(stamp + seconds).to_le_bytes());
+}
+
+#[test]
+fn a_wrong_stamp_costs_its_own_message_only() {
+    let place = tempfile::tempdir().unwrap();
+    for (wrong, seconds) in [(0, 1000), (2, 1000), (3, -1000)] {
+        let others: Vec<f64> = (0..6).filter(|number| *number != wrong).map(time_s).collect();
+        let words = "1 of the images on /camera/image_raw was left out, because its time does not fit";
+        let change = |messages: &mut [Vec<u8>]| move_stamp(&mut messages[wrong], seconds);
+        let path = changed(place.path(), "/camera/image_raw", change);
+        let (frames, warnings) = frames(&path, &SourceOptions::default());
+        assert_eq!(frames.iter().map(|frame| frame.time_s).collect::<Vec<_>>(), others, "{wrong} {seconds}");
+        assert!(warnings.len() == 1 && warnings[0].contains(words), "{warnings:?}");
+        // Other times are those of the frames as they were recorded.
+        let (frames, _) = self::frames(&path, &SourceOptions { fps: Some(30.0), ..Default::default() });
+        assert_eq!(frames.len(), 6);
+        for (topic, kind) in [("/imu", SensorKind::Gyro), ("/odom", SensorKind::Wheel)] {
+            let path = changed(place.path(), topic, change);
+            let (record, warnings) = recorded_sensor(&path, topic, kind).unwrap();
+            let times: Vec<f64> = record.unwrap().samples().map(|(time_s, _)| time_s).collect();
+            assert_eq!(times, others, "{topic} {wrong} {seconds}");
+            assert!(warnings.len() == 1 && warnings[0].contains("1 of the messages on"), "{warnings:?}");
+        }
+    }
+}
+
+#[test]
+fn a_clock_that_was_set_loses_no_frame() {
+    let place = tempfile::tempdir().unwrap();
+    for (seconds, way) in [(-5, "back"), (5, "forward")] {
+        let set = |messages: &mut [Vec<u8>]| messages[3..].iter_mut().for_each(|m| move_stamp(m, seconds));
+        let path = changed(place.path(), "/camera/image_raw", set);
+        let (frames, warnings) = frames(&path, &SourceOptions::default());
+        assert_eq!(frames.len(), 6);
+        for (number, frame) in frames.iter().enumerate() {
+            // The times are exact to 2e-7 s, that of a double of this size.
+            assert!((frame.time_s - time_s(number)).abs() < 1e-6, "{number}");
+        }
+        let words =
+            format!("the clock of the images on /camera/image_raw was set {way} by 5.00 s, 0.07 s after");
+        assert!(warnings.len() == 1 && warnings[0].contains(&words), "{warnings:?}");
+    }
+}
+
+#[test]
+fn images_that_were_recorded_out_of_order_are_sorted() {
+    let place = tempfile::tempdir().unwrap();
+    let path = changed(place.path(), "/camera/image_raw", |messages| messages.swap(2, 3));
+    let (frames, warnings) = frames(&path, &SourceOptions::default());
+    assert_eq!(warnings, [""; 0]);
+    for (number, frame) in frames.iter().enumerate() {
+        assert_eq!((frame.time_s, frame.gray.samples()), (time_s(number), &gray(number)[..]));
+    }
+}
+
+#[test]
+fn a_sensor_without_measurements_or_stamps_says_so() {
+    let place = tempfile::tempdir().unwrap();
+    let cut = |messages: &mut [Vec<u8>]| messages[1..].iter_mut().for_each(|message| message.truncate(60));
+    let (record, warnings) =
+        recorded_sensor(changed(place.path(), "/imu", cut), "/imu", SensorKind::Gyro).unwrap();
+    assert!(record.is_none());
+    assert!(
+        warnings.len() == 1 && warnings[0].contains("the topic /imu has 1 measurements and is not used"),
+        "{warnings:?}"
+    );
+    let clear = |messages: &mut [Vec<u8>]| messages.iter_mut().for_each(|message| message[4..12].fill(0));
+    let (record, warnings) =
+        recorded_sensor(changed(place.path(), "/odom", clear), "/odom", SensorKind::Wheel).unwrap();
+    assert_eq!(record.unwrap().samples().count(), 6);
+    assert!(warnings.len() == 1 && warnings[0].contains("on /odom have no time stamp"), "{warnings:?}");
+}
+
 #[test]
 fn videos_in_messages_are_decoded() {
     for (topic, clip) in [("/video", "hevc.h265"), ("/ffmpeg", "h264_interlaced.264")] {
@@ -161,7 +260,10 @@ fn the_camera_and_the_sensors_are_in_the_recording() {
         let distortion = Distortion::from_opencv(&[0.1, -0.05, 0.001, -0.002, 0.01]).unwrap();
         assert_eq!(found.camera.distortion(), &distortion);
 
-        let samples = |topic, kind| recorded_sensor(data(name), topic, kind).unwrap();
+        let samples = |topic, kind| match recorded_sensor(data(name), topic, kind).unwrap() {
+            (Some(record), warnings) if warnings.is_empty() => record,
+            other => panic!("{name} {topic}: {other:?}"),
+        };
         let gyro = samples("/imu", SensorKind::Gyro);
         assert_eq!(gyro.quantity(), Quantity::TurnRates);
         assert_eq!(gyro.samples().nth(2), Some((time_s(2), vec![0.02, 0.02, -0.03])));
