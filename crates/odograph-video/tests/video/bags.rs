@@ -446,3 +446,17 @@ fn a_folder_without_metadata_is_read_in_order() {
     assert_eq!(read.len(), 6);
     assert!(warnings.iter().any(|warning| warning.contains("split_3.mcap was left out")), "{warnings:?}");
 }
+
+#[test]
+fn a_part_that_is_missing_or_not_named_is_reported() {
+    let place = tempfile::tempdir().unwrap();
+    for file in ["metadata.yaml", "split_1.mcap"] {
+        fs::copy(data("split").join(file), place.path().join(file)).unwrap();
+    }
+    fs::copy(data("split/split_1.mcap"), place.path().join("split_2.mcap")).unwrap();
+    let (read, warnings) = frames(place.path(), &SourceOptions::default());
+    assert_eq!(read.len(), 3);
+    for words in ["metadata.yaml names split_0.mcap, not in this folder", "split_2.mcap left out, because"] {
+        assert!(warnings.iter().any(|warning| warning.contains(words)), "{words}: {warnings:?}");
+    }
+}
