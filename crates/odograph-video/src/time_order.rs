@@ -10,6 +10,7 @@
 //!   much later, and the recorder saw no such pause, it was set forward. What follows counts on
 //!   without the jump.
 
+use crate::arrival_clock::ArrivalClock;
 use std::collections::VecDeque;
 
 /// Number of elements that are held back: one may be recorded three later than it was taken, and
@@ -42,6 +43,8 @@ pub(crate) struct TimeOrder<T> {
     /// In the order in which they were read, each with the number of later ones given before it.
     held: VecDeque<(Timed<T>, usize)>,
     at_end: bool,
+    /// Makes times even that come in bursts.
+    clock: Option<ArrivalClock>,
     /// What is added to times since the clock was set, seconds.
     shift_s: f64,
     /// The last ones given: time and when they were recorded.
@@ -58,6 +61,7 @@ impl<T> TimeOrder<T> {
         Self {
             held: VecDeque::new(),
             at_end: false,
+            clock: None,
             shift_s: 0.0,
             recent: VecDeque::new(),
             first_s: None,
@@ -65,6 +69,12 @@ impl<T> TimeOrder<T> {
             jumps: 0,
             first_jump: None,
         }
+    }
+
+    /// Gives even times to elements whose own come in bursts.
+    pub fn evened(mut self) -> Self {
+        self.clock = Some(ArrivalClock::default());
+        self
     }
 
     /// The next element and its time, seconds, which increases strictly; `None` after the last.
@@ -174,12 +184,17 @@ impl<T> TimeOrder<T> {
         if self.recent.len() > RECENT {
             self.recent.pop_front();
         }
-        Some((time_s, item))
+        Some((self.clock.as_mut().map_or(time_s, |clock| clock.time_s(time_s)), item))
     }
 
     /// Drains the warnings, one sentence each; `what` is as in `images on /camera`.
     pub fn take_warnings(&mut self, what: &str) -> Vec<String> {
         let mut warnings = Vec::new();
+        if self.clock.is_some() {
+            warnings.push(format!(
+                "the times of the {what} come in bursts, as those at which a network delivers them; even times are                  used instead"
+            ));
+        }
         let (was, why) = match self.left_out {
             1 => ("was", "its time does"),
             _ => ("were", "their times do"),

@@ -3,6 +3,7 @@
 use super::messages::{Role, VideoMessage, image, seconds, stamp_ns};
 use super::recording::{MessageReader, Topic};
 use super::topics;
+use crate::arrival_clock::are_bursts;
 use crate::container::{Packet, PacketReader, Times, VideoTrack};
 use crate::frame::Picture;
 use crate::opened::{Frames, Opened};
@@ -16,9 +17,11 @@ pub(crate) fn open_frames(mut recording: Box<dyn MessageReader>, options: &Sourc
     let topic = topics::with_frames(recording.as_mut(), options.topic.as_deref())?;
     let place = format!("{}, {}", topic.name, recording.format());
     let frame_count = Some(topic.count);
-    let messages = TopicMessages::new(recording, topic)?;
+    let mut messages = TopicMessages::new(recording, topic)?;
+    let (first_times_s, bits) = messages.beginning()?;
     // Other times are those of the frames as they were recorded.
     let by_time = options.timestamps.is_none() && options.fps.is_none();
+    let in_bursts = are_bursts(&first_times_s);
     match Role::of(&messages.topic) {
         Role::Video(kind) => {
             let images = format!("images on {}", messages.topic.name);
@@ -26,7 +29,8 @@ pub(crate) fn open_frames(mut recording: Box<dyn MessageReader>, options: &Sourc
             let opened = video::open(None, Box::new(reader), options.color)?;
             let description = format!("{} ({place})", opened.description);
             let frames: Box<dyn Frames> = if by_time {
-                Box::new(Ordered { frames: opened.frames, order: TimeOrder::new(), images, current: None })
+                let order = order(in_bursts);
+                Box::new(Ordered { frames: opened.frames, order, images, current: None })
             } else {
                 opened.frames
             };
@@ -40,7 +44,12 @@ pub(crate) fn open_frames(mut recording: Box<dyn MessageReader>, options: &Sourc
             timestamps_used: false,
             frames_per_second: None,
             frames: Box::new(ImageTopic {
-                messages: OrderedMessages { messages, order: by_time.then(TimeOrder::new), data: Vec::new() },
+                messages: OrderedMessages {
+                    messages,
+                    order: by_time.then(|| order(in_bursts)),
+                    data: Vec::new(),
+                },
+                bits,
                 color: options.color,
                 damaged: 0,
                 first_damage: None,
@@ -49,8 +58,14 @@ pub(crate) fn open_frames(mut recording: Box<dyn MessageReader>, options: &Sourc
     }
 }
 
-/// Number of first messages that decide whether their stamps are used.
+/// Number of first messages that decide whether their stamps are used, and of first images that
+/// decide whether their times come in bursts, and how many bits they have: seconds of a camera.
 const FIRST: usize = 5;
+const FIRST_IMAGES: usize = 100;
+
+fn order<T>(in_bursts: bool) -> TimeOrder<T> {
+    if in_bursts { TimeOrder::new().evened() } else { TimeOrder::new() }
+}
 
 /// The messages of one topic with their times, in the order in which they were recorded.
 pub(super) struct TopicMessages {
@@ -80,6 +95,20 @@ impl TopicMessages {
             )
         };
         Ok(Self { warnings: by_log.then(warning).into_iter().collect(), recording, topic, by_log })
+    }
+
+    /// The times of the first images, seconds, and the bits that their samples of two bytes have in
+    /// use, if they have such.
+    fn beginning(&mut self) -> Result<(Vec<f64>, Option<u32>)> {
+        let (mut times_s, mut bits) = (Vec::new(), None);
+        while times_s.len() < FIRST_IMAGES
+            && let Some(timed) = self.advance()?
+        {
+            times_s.push(timed.time_s);
+            bits = bits.max(image::gray_bits(&self.topic, self.data()));
+        }
+        self.recording.rewind()?;
+        Ok((times_s, bits))
     }
 
     /// Advances to the next message; its times, or `None` at the end.
@@ -154,6 +183,8 @@ impl OrderedMessages {
 /// A topic of images.
 struct ImageTopic {
     messages: OrderedMessages,
+    /// Bits in use of samples of two bytes.
+    bits: Option<u32>,
     color: bool,
     damaged: u64,
     first_damage: Option<String>,
@@ -165,7 +196,10 @@ impl Frames for ImageTopic {
     }
 
     fn picture(&mut self) -> Result<Option<Picture>> {
-        match image::picture(self.messages.topic(), self.messages.data(), self.color) {
+        let (topic, data) = (self.messages.topic(), self.messages.data());
+        // After a dark beginning there may be more.
+        self.bits = self.bits.max(image::gray_bits(topic, data));
+        match image::picture(topic, data, self.bits.unwrap_or(16), self.color) {
             Ok(picture) => Ok(Some(picture)),
             Err(error) => {
                 self.damaged += 1;
@@ -177,6 +211,12 @@ impl Frames for ImageTopic {
 
     fn take_warnings(&mut self) -> Vec<String> {
         let mut warnings = self.messages.take_warnings("images");
+        if let Some(bits @ ..16) = self.bits {
+            warnings.push(format!(
+                "the images on {} have {bits} of 16 bits in use, which are taken as full scale",
+                self.messages.topic().name
+            ));
+        }
         if let Some(why) = self.first_damage.take() {
             let damaged = std::mem::take(&mut self.damaged);
             warnings.push(format!("{damaged} images were left out because they cannot be decoded ({why})"));

@@ -163,6 +163,45 @@ fn move_stamp(message: &mut [u8], seconds: i32) {
     message[4..8].copy_from_slice(&(stamp + seconds).to_le_bytes());
 }
 
+/// `drive.db3` fifty times, a second later each, with each message of a topic of images changed
+/// that has this number.
+fn long(folder: &Path, change: impl Fn(usize, &mut Vec<u8>)) -> PathBuf {
+    let path = folder.join("long.db3");
+    fs::copy(data("drive.db3"), &path).unwrap();
+    let database = rusqlite::Connection::open(&path).unwrap();
+    let rows: Vec<(i64, i64, Vec<u8>)> = database
+        .prepare("SELECT topic_id, timestamp, data FROM messages ORDER BY rowid")
+        .unwrap()
+        .query_map([], |row| Ok((row.get(0)?, row.get(1)?, row.get(2)?)))
+        .unwrap()
+        .map(Result::unwrap)
+        .collect();
+    database.execute_batch("BEGIN").unwrap();
+    let (images, mut number): (i64, usize) = (
+        database
+            .query_row("SELECT id FROM topics WHERE name = '/camera/image_raw'", [], |row| row.get(0))
+            .unwrap(),
+        0,
+    );
+    database.execute_batch("DELETE FROM messages").unwrap();
+    for second in 0..50 {
+        for (topic, log_ns, message) in &rows {
+            let mut message = message.clone();
+            move_stamp(&mut message, second);
+            if *topic == images {
+                change(number, &mut message);
+                number += 1;
+            }
+            let insert = "INSERT INTO messages(topic_id, timestamp, data) VALUES (?1, ?2, ?3)";
+            let log_ns = log_ns + i64::from(second) * 1_000_000_000;
+            database.execute(insert, (topic, log_ns, message)).unwrap();
+        }
+    }
+    database.execute_batch("COMMIT").unwrap();
+    drop(database);
+    path
+}
+
 #[test]
 fn a_wrong_stamp_costs_its_own_message_only() {
     let place = tempfile::tempdir().unwrap();
@@ -214,6 +253,55 @@ fn images_that_were_recorded_out_of_order_are_sorted() {
     for (number, frame) in frames.iter().enumerate() {
         assert_eq!((frame.time_s, frame.gray.samples()), (time_s(number), &gray(number)[..]));
     }
+}
+
+#[test]
+fn times_in_bursts_become_even() {
+    let place = tempfile::tempdir().unwrap();
+    let bursts = |number: usize, message: &mut Vec<u8>| {
+        let time_ms = number / 5 * 5 * 40 + number % 5;
+        message[4..8].copy_from_slice(&(1_700_000_000 + time_ms as u32 / 1000).to_le_bytes());
+        message[8..12].copy_from_slice(&(time_ms as u32 % 1000 * 1_000_000).to_le_bytes());
+    };
+    let (read, warnings) = frames(&long(place.path(), bursts), &SourceOptions::default());
+    assert_eq!(read.len(), 300);
+    assert!(
+        warnings.len() == 1 && warnings[0].contains("on /camera/image_raw come in bursts"),
+        "{warnings:?}"
+    );
+    let steps = || read.windows(2).map(|pair| pair[1].time_s - pair[0].time_s);
+    // While the period is learned a step is that of sixty frames a second; then as accurate as the
+    // clock's own tests show.
+    assert!(steps().all(|step_s| step_s > 5e-3), "{:?}", steps().collect::<Vec<_>>());
+    assert!(steps().skip(60).all(|step_s| (0.028..0.056).contains(&step_s)));
+}
+
+#[test]
+fn the_bits_in_use_are_full_scale() {
+    let place = tempfile::tempdir().unwrap();
+    // White from the third image on; before it the image has ten bits.
+    let twelve = |number: usize, message: &mut Vec<u8>| {
+        let gray = gray(number % 6);
+        let samples = gray.iter().map(|&level| match number {
+            0..2 => u16::from(level),
+            _ => (u32::from(level) * 4095 / 255) as u16,
+        });
+        let samples: Vec<u8> = samples.flat_map(u16::to_le_bytes).collect();
+        *message = mono16(&message[4..12], &samples);
+    };
+    let (read, warnings) = frames(&long(place.path(), twelve), &SourceOptions::default());
+    assert_eq!(read[5].gray.samples(), gray(5));
+    assert!(warnings.iter().any(|w| w.contains("have 12 of 16 bits in use")), "{warnings:?}");
+}
+
+/// `sensor_msgs/msg/Image` of 16 bits.
+fn mono16(stamp: &[u8], samples: &[u8]) -> Vec<u8> {
+    let mut message = [&[0, 1, 0, 0], stamp, &4u32.to_le_bytes(), b"cam\0"].concat();
+    message.extend([HEIGHT as u32, WIDTH as u32, 7].iter().flat_map(|number| number.to_le_bytes()));
+    message.extend(b"mono16\0\0");
+    message.extend([2 * WIDTH as u32, samples.len() as u32].iter().flat_map(|number| number.to_le_bytes()));
+    message.extend(samples);
+    message
 }
 
 #[test]
@@ -389,28 +477,7 @@ fn a_truncated_recording_is_read_up_to_the_cut() {
 #[test]
 fn half_of_a_database_has_half_of_its_frames() {
     let place = tempfile::tempdir().unwrap();
-    let path = place.path().join("long.db3");
-    fs::copy(data("drive.db3"), &path).unwrap();
-    let database = rusqlite::Connection::open(&path).unwrap();
-    let rows: Vec<(i64, i64, Vec<u8>)> = database
-        .prepare("SELECT topic_id, timestamp, data FROM messages ORDER BY rowid")
-        .unwrap()
-        .query_map([], |row| Ok((row.get(0)?, row.get(1)?, row.get(2)?)))
-        .unwrap()
-        .map(Result::unwrap)
-        .collect();
-    database.execute_batch("BEGIN").unwrap();
-    for second in 1..50 {
-        for (topic, log_ns, message) in &rows {
-            let mut message = message.clone();
-            move_stamp(&mut message, second);
-            let insert = "INSERT INTO messages(topic_id, timestamp, data) VALUES (?1, ?2, ?3)";
-            let log_ns = log_ns + i64::from(second) * 1_000_000_000;
-            database.execute(insert, (topic, log_ns, message)).unwrap();
-        }
-    }
-    database.execute_batch("COMMIT").unwrap();
-    drop(database);
+    let path = long(place.path(), |_, _| ());
     let options = SourceOptions { topic: Some("/camera/image_raw".into()), ..Default::default() };
     assert_eq!(frames(&path, &options).0.len(), 300);
     let whole = fs::read(&path).unwrap();
