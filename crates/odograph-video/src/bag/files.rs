@@ -277,7 +277,8 @@ impl MessageReader for Files {
 
     fn rewind(&mut self) -> Result<()> {
         match &mut self.current {
-            Some(part) if self.files.len() == 1 => part.recording.rewind(),
+            // The first file may have been unpacked.
+            Some(part) if self.next == 1 => part.recording.rewind(),
             _ => {
                 self.current = None;
                 self.next = 0;

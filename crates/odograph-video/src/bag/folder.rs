@@ -49,7 +49,7 @@ pub(super) fn files(folder: &Path) -> Result<Option<(Vec<PathBuf>, Vec<String>)>
             if !files.is_empty() {
                 let unread = names(&files);
                 warnings.push(format!(
-                    "{unread} left out, because metadata.yaml does not name it; remove metadata.yaml to read all parts"
+                    "metadata.yaml does not name {unread}, left out; remove metadata.yaml to read all parts"
                 ));
             }
             return Ok(Some((there, warnings)));
@@ -65,7 +65,7 @@ pub(super) fn files(folder: &Path) -> Result<Option<(Vec<PathBuf>, Vec<String>)>
     };
     if let Some(other) = files.iter().find(|path| series(path) != series(first)) {
         return Err(Error::input(format!(
-            "there are several recordings in this folder, such as {} and {}; give one of them",
+            "there are several recordings in this folder, such as {} and {}; give one of them, or all with --resume",
             name_of(first),
             name_of(other)
         )));
@@ -147,7 +147,7 @@ mod tests {
             warnings,
             [
                 "metadata.yaml names gone.mcap, not in this folder; what was recorded there is missing",
-                "b_10.mcap left out, because metadata.yaml does not name it; remove metadata.yaml to read all parts"
+                "metadata.yaml does not name b_10.mcap, left out; remove metadata.yaml to read all parts"
             ]
         );
         std::fs::write(folder.join("metadata.yaml"), "rosbag2_bagfile_information: [cut").unwrap();

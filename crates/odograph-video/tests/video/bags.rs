@@ -559,7 +559,10 @@ fn a_part_that_is_missing_or_not_named_is_reported() {
     fs::copy(data("split/split_1.mcap"), place.path().join("split_2.mcap")).unwrap();
     let (read, warnings) = frames(place.path(), &SourceOptions::default());
     assert_eq!(read.len(), 3);
-    for words in ["metadata.yaml names split_0.mcap, not in this folder", "split_2.mcap left out, because"] {
+    for words in [
+        "metadata.yaml names split_0.mcap, not in this folder",
+        "metadata.yaml does not name split_2.mcap, left out",
+    ] {
         assert!(warnings.iter().any(|warning| warning.contains(words)), "{words}: {warnings:?}");
     }
 }
