@@ -28,7 +28,7 @@ pub(crate) use contents::contents;
 use files::{BagFormat, Files};
 pub(crate) use frames::open_frames;
 pub use live_topic::{LiveMessage, LiveTopic, LiveTransforms};
-pub use mount::{RecordedMount, recorded_mount};
+pub use mount::{RecordedMount, RecordedTransforms, recorded_antenna, recorded_mount};
 use odograph::error::Result;
 use recording::MessageReader;
 pub use sensors::{recorded_fixes, recorded_sensor};
