@@ -41,9 +41,9 @@ pub fn motion(name: &str) -> Result<MotionModel> {
 /// the camera's size, black where there is no ground.
 ///
 /// Where the rig says where the camera is on the robot, what frames say is of the robot, as in a
-/// run. Loops are not closed here: run does that. With "auto", the shutter's readout time, the tilt and
-/// the lens are found on the way, as by a live run; the pose may change a little where the readout
-/// time becomes known.
+/// run. Loops are not closed here: run does that. With "auto", the shutter's readout time, the tilt
+/// and the lens are found on the way, as by a live run; the pose may change a little where the
+/// readout time becomes known.
 #[pyclass(name = "Odometry", frozen, module = "odograph")]
 pub struct PyOdometry(Mutex<Tracker>);
 
@@ -168,8 +168,8 @@ impl PyFrame {
         self.known().is_some()
     }
 
-    /// The 4×4 transform from camera to world coordinates, metres; from those of the robot where the
-    /// rig says where the camera is on it. None if lost.
+    /// The 4×4 transform from camera to world coordinates, metres; from those of the robot where
+    /// the rig says where the camera is on it. None if lost.
     #[getter]
     fn pose<'py>(&self, py: Python<'py>) -> Option<Matrix<'py>> {
         self.ground().map(|pose| transform(py, &self.of.world_from_frame(pose)))

@@ -48,8 +48,8 @@ pub struct GnssRecord {
 }
 
 impl GnssRecord {
-    /// Reads the file, or the topic of the recording; `None` if neither is given. What is wrong with
-    /// the topic is added to the warnings.
+    /// Reads the file, or the topic of the recording; `None` if neither is given. What is wrong
+    /// with the topic is added to the warnings.
     pub fn read(sensors: &SensorFiles, recording: &str, warnings: &mut Vec<String>) -> Result<Option<Self>> {
         let start_s = sensors.gnss_start.as_deref().map(start_s).transpose()?;
         let (name, mut fixes) = match (&sensors.gnss, &sensors.gnss_topic) {

@@ -121,7 +121,7 @@ impl RunBuilder {
                 "the frames of {path} are {}x{} but the map was made with a camera of {width}x{height}; {what_to_do}",
                 size.0, size.1
             ))
-        } else if self.camera.is_none() && odograph_video::is_robot_recording(path) {
+        } else if matches!(GivenCamera::by(self), Ok(GivenCamera::Recording(_))) {
             Error::input(format!(
                 "the frames of {path} are {}x{} but their camera_info is for {}x{}; give --camera FILE, calibrated at the \
                  recording's size",
@@ -135,8 +135,8 @@ impl RunBuilder {
         })
     }
 
-    /// The antenna of the satellite receiver: that of the rig file, or else of the static transforms
-    /// of the recording, where it is known where the camera is on the robot.
+    /// The antenna of the satellite receiver: that of the rig file, or else of the static
+    /// transforms of the recording, where it is known where the camera is on the robot.
     fn antenna(&self, rig: &Rig, observer: &dyn Observer) -> Result<Option<LeverArm>> {
         if let Some(MountChoice::File(path)) = &self.mount {
             let text = files::read_text(path)?;
