@@ -69,7 +69,7 @@ class Camera:
 class Rig:
     """How a camera is mounted: height above the ground in metres; roll, pitch and yaw against
     straight down with the top of the image forward, radians; where known, the camera's place in
-    the robot's frame (x forward, y left, z up), metres. With it a run's poses are the robot's."""
+    the robot's frame (x forward, y left, z up), metres. With it poses are the robot's."""
 
     def __init__(
         self,
@@ -139,7 +139,7 @@ class Frame:
     def tracked(self) -> bool: ...
     @property
     def pose(self) -> _Numbers | None:
-        """4×4 transform from camera to world coordinates, metres."""
+        """4×4 transform from camera (with a place on the robot, from robot) to world, metres."""
     @property
     def x(self) -> float | None:
         """Metres."""
@@ -188,7 +188,7 @@ class Trajectory:
         """N, seconds, strictly increasing."""
     @property
     def poses(self) -> _Numbers:
-        """N×4×4 transforms from camera to world coordinates, metres."""
+        """N×4×4 transforms from camera (with a place on the robot, from robot) to world, metres."""
     @property
     def covariances(self) -> _Numbers:
         """N×6×6, of (x, y, heading, height, roll, pitch) relative to the start."""

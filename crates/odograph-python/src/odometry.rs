@@ -6,8 +6,10 @@ use crate::error::{Failure, Result};
 use crate::pixels::Pixels;
 use numpy::ndarray::{Array1, Array2};
 use numpy::{IntoPyArray, PyArray1};
+use odograph_core::camera::Rig;
 use odograph_core::mounting::OnlineCalibration;
 use odograph_core::odometry::{Odometry, OdometryConfig, TrackView};
+use odograph_core::pose_frame::{PoseFrame, PoseFrames};
 use odograph_core::trajectory::{FrameEstimate, PoseEstimate};
 use odograph_core::{GroundPose, MotionModel};
 use pyo3::prelude::*;
@@ -38,15 +40,18 @@ pub fn motion(name: &str) -> Result<MotionModel> {
 /// "free" (height and tilt change) or "mean" (the mean vector, for comparison). mask is an image of
 /// the camera's size, black where there is no ground.
 ///
-/// Loops are not closed here: run does that. With "auto", the shutter's readout time, the tilt and
-/// the lens are found on the way, as by a live run; the pose may change a little where the readout
-/// time becomes known.
+/// Where the rig says where the camera is on the robot, what frames say is of the robot, as in a
+/// run. Loops are not closed here: run does that. With "auto", the shutter's readout time, the tilt
+/// and the lens are found on the way, as by a live run; the pose may change a little where the
+/// readout time becomes known.
 #[pyclass(name = "Odometry", frozen, module = "odograph")]
 pub struct PyOdometry(Mutex<Tracker>);
 
 /// An odometry and, where height and tilt are what the mount says, its calibration on the way.
 struct Tracker {
     odometry: Odometry,
+    /// As it was given.
+    rig: Rig,
     calibration: Option<OnlineCalibration>,
 }
 
@@ -83,7 +88,7 @@ impl PyOdometry {
             Some(picture) => odometry.with_mask(&Pixels::read(picture)?.gray()?)?,
             None => odometry,
         };
-        Ok(Self(Mutex::new(Tracker { odometry, calibration })))
+        Ok(Self(Mutex::new(Tracker { odometry, rig, calibration })))
     }
 
     /// The estimate of the next frame: an image of the camera's size, uint8, H×W (gray) or H×W×3
@@ -94,13 +99,15 @@ impl PyOdometry {
         Ok(py.detach(|| {
             let image = pixels.gray()?;
             let mut tracker = self.held();
-            let Tracker { odometry, calibration } = &mut *tracker;
+            let Tracker { odometry, rig, calibration } = &mut *tracker;
+            let rig = calibration.as_ref().map_or(*rig, OnlineCalibration::rig);
+            let of = *PoseFrames::of_carrier(&rig).last();
             let estimate = odometry.process(image.clone(), t)?;
             let tracks = odometry.tracks().to_vec();
             if let Some(calibration) = calibration {
                 calibration.watch(&image, &estimate, odometry)?;
             }
-            odograph_core::Result::Ok(PyFrame { estimate, tracks })
+            odograph_core::Result::Ok(PyFrame { estimate: of.frame(&estimate).into_owned(), of, tracks })
         })?)
     }
 
@@ -120,6 +127,8 @@ impl PyOdometry {
 #[pyclass(name = "Frame", frozen, module = "odograph")]
 pub struct PyFrame {
     estimate: FrameEstimate,
+    /// Whose pose it has.
+    of: PoseFrame,
     tracks: Vec<TrackView>,
 }
 
@@ -159,10 +168,11 @@ impl PyFrame {
         self.known().is_some()
     }
 
-    /// The 4×4 transform from camera to world coordinates, metres; None if lost.
+    /// The 4×4 transform from camera to world coordinates, metres; from those of the robot where
+    /// the rig says where the camera is on it. None if lost.
     #[getter]
     fn pose<'py>(&self, py: Python<'py>) -> Option<Matrix<'py>> {
-        self.ground().map(|pose| transform(py, &pose.world_from_camera()))
+        self.ground().map(|pose| transform(py, &self.of.world_from_frame(pose)))
     }
 
     /// Position along world x, metres; None if lost.

@@ -4,6 +4,7 @@ use crate::camera::{CameraArgument, RigArgument, mount, warn};
 use crate::error::{Failure, Result};
 use crate::odometry::motion;
 use crate::trajectory::PyTrajectory;
+use odograph_core::pose_frame::PoseFrame;
 use odograph_core::trajectory::FrameEstimate;
 use odograph_session::{MapUse, Observer, RunBuilder, RunOutcome, SensorFiles, SourcePlan};
 use pyo3::prelude::*;
@@ -153,13 +154,13 @@ pub fn run(
 #[derive(Default)]
 struct Watching {
     stops: AtomicBool,
-    frames: Mutex<Vec<FrameEstimate>>,
+    frames: Mutex<Vec<(FrameEstimate, PoseFrame)>>,
     warnings: Mutex<Vec<String>>,
 }
 
 impl Observer for Watching {
-    fn final_frame(&self, estimate: &FrameEstimate) {
-        self.frames.lock().unwrap_or_else(PoisonError::into_inner).push(estimate.clone());
+    fn final_frame(&self, estimate: &FrameEstimate, of: &PoseFrame) {
+        self.frames.lock().unwrap_or_else(PoisonError::into_inner).push((estimate.clone(), *of));
     }
 
     fn warn(&self, sentence: &str) {
@@ -176,7 +177,7 @@ const EVERY: Duration = Duration::from_millis(50);
 
 /// Follows a run detached from the interpreter, in a thread of its own so that this one can hear
 /// signals, and returns its final frames too.
-pub fn followed(py: Python<'_>, run: &RunBuilder) -> Result<(RunOutcome, Vec<FrameEstimate>)> {
+pub fn followed(py: Python<'_>, run: &RunBuilder) -> Result<(RunOutcome, Vec<(FrameEstimate, PoseFrame)>)> {
     let watching = Watching::default();
     let (outcome, signal) = py.detach(|| {
         thread::scope(|scope| {

@@ -2,8 +2,10 @@
 
 use crate::arrays::{Matrices, Vector, covariances, transforms, vector};
 use crate::error::{Failure, Result};
+use nalgebra::Isometry3;
 use numpy::IntoPyArray;
 use numpy::ndarray::Array1;
+use odograph_core::pose_frame::PoseFrame;
 use odograph_core::trajectory::{FrameEstimate, PoseEstimate, StampedPose, Trajectory};
 use odograph_session::{RunEnd, RunOutcome};
 use pyo3::prelude::*;
@@ -18,6 +20,8 @@ use std::path::PathBuf;
 pub struct PyTrajectory {
     /// Every frame in order.
     frames: Vec<FrameEstimate>,
+    /// Whose pose each of them has.
+    of: Vec<PoseFrame>,
     /// Indices of those with a pose, in strictly increasing time.
     posed: Vec<usize>,
     end: RunEnd,
@@ -28,7 +32,8 @@ pub struct PyTrajectory {
 
 impl PyTrajectory {
     /// The frames and the outcome of a run; `kept` says whether its folder stays.
-    pub fn new(frames: Vec<FrameEstimate>, outcome: RunOutcome, kept: bool) -> Result<Self> {
+    pub fn new(frames: Vec<(FrameEstimate, PoseFrame)>, outcome: RunOutcome, kept: bool) -> Result<Self> {
+        let (frames, of): (Vec<FrameEstimate>, _) = frames.into_iter().unzip();
         let mut last_s = f64::NEG_INFINITY;
         let mut later = |frame: &FrameEstimate| {
             let later = frame.estimate.is_some() && frame.time_s > last_s;
@@ -38,6 +43,7 @@ impl PyTrajectory {
         Ok(Self {
             posed: (0..frames.len()).filter(|&at| later(&frames[at])).collect(),
             frames,
+            of,
             end: outcome.end,
             statistics: outcome.statistics.json()?,
             warnings: outcome.warnings,
@@ -51,8 +57,15 @@ impl PyTrajectory {
 
     /// The stamped poses.
     pub fn stamped(&self) -> Trajectory {
-        let poses = self.posed.iter().filter_map(|&at| StampedPose::of_frame(&self.frames[at]));
-        Trajectory { poses: poses.collect() }
+        let times = self.posed().map(|(frame, _)| frame.time_s);
+        let stamped = |(time_s, world_from_camera)| StampedPose { time_s, world_from_camera };
+        Trajectory { poses: times.zip(self.transforms()).map(stamped).collect() }
+    }
+
+    /// The poses as transforms from camera or robot to world coordinates.
+    fn transforms(&self) -> Vec<Isometry3<f64>> {
+        let posed = self.posed.iter().zip(self.posed());
+        posed.map(|(&at, (_, known))| self.of[at].world_from_frame(&known.pose)).collect()
     }
 
     /// A number of every frame, NaN without a pose.
@@ -70,11 +83,11 @@ impl PyTrajectory {
         vector(py, self.posed().map(|(frame, _)| frame.time_s).collect())
     }
 
-    /// N×4×4 transforms from camera to world coordinates, metres.
+    /// N×4×4 transforms from camera to world coordinates, metres; from those of the robot where the
+    /// rig says where the camera is on it.
     #[getter]
     fn poses<'py>(&self, py: Python<'py>) -> Matrices<'py> {
-        let poses: Vec<_> = self.posed().map(|(_, known)| known.pose.world_from_camera()).collect();
-        transforms(py, &poses)
+        transforms(py, &self.transforms())
     }
 
     /// N×6×6 covariances of (x, y, heading, height, roll, pitch) relative to the start, metres and

@@ -27,6 +27,21 @@ def test_frame_by_frame_has_the_poses_of_a_run(drive, recording):
     assert np.array_equal(run.x, [frame.x for frame in frames])
 
 
+def test_with_a_lever_arm_the_poses_are_of_the_robot(drive, recording):
+    place = (0.3, 0.05, 0.2)
+    rig = od.Rig(height=drive.rig.height, lever_arm=place)
+    camera = od.Camera(K=drive.camera.K, dist=drive.camera.dist, size=drive.camera.size, readout=0.0)
+    of_camera = od.run(**{**recording, "rig": od.Rig(height=drive.rig.height)}, loops=False, readout=0.0)
+    run = od.run(**{**recording, "rig": rig}, loops=False, readout=0.0)
+    # The robot is level, and the camera looks down from its place on it.
+    assert np.allclose(run.poses[:, 2, 2], 1.0, atol=1e-2)
+    places = np.einsum("nij,j->ni", run.poses, np.append(place, 1.0))[:, :3]
+    assert np.allclose(places, of_camera.poses[:, :3, 3], atol=1e-9)
+    odometry = od.Odometry(camera, rig=rig)
+    poses = [odometry.process(image, t).pose for image, t in zip(drive, run.timestamps)]
+    assert np.allclose(poses, run.poses, rtol=0, atol=1e-9)
+
+
 def test_a_view_is_the_image_that_it_shows(drive):
     part = [drive[at] for at in range(20)]
     plain = [frame.pose for frame in follow(drive, part)]

@@ -48,8 +48,9 @@ pub struct GnssRecord {
 }
 
 impl GnssRecord {
-    /// Reads the file, or the topic of the recording; `None` if neither is given.
-    pub fn read(sensors: &SensorFiles, recording: &str) -> Result<Option<Self>> {
+    /// Reads the file, or the topic of the recording; `None` if neither is given. What is wrong
+    /// with the topic is added to the warnings.
+    pub fn read(sensors: &SensorFiles, recording: &str, warnings: &mut Vec<String>) -> Result<Option<Self>> {
         let start_s = sensors.gnss_start.as_deref().map(start_s).transpose()?;
         let (name, mut fixes) = match (&sensors.gnss, &sensors.gnss_topic) {
             (Some(path), _) => {
@@ -57,7 +58,11 @@ impl GnssRecord {
                 let fixes = gnss_file::parse(&text).map_err(|error| error.at(path.display()))?;
                 (path.display().to_string(), fixes)
             }
-            (None, Some(topic)) => (topic.clone(), odograph_video::recorded_fixes(recording, topic)?),
+            (None, Some(topic)) => {
+                let (fixes, found) = odograph_video::recorded_fixes(recording, topic)?;
+                warnings.extend(found);
+                (topic.clone(), fixes)
+            }
             (None, None) if start_s.is_some() => {
                 return Err(Error::usage(
                     "a start for a satellite receiver needs its positions: --gnss FILE",

@@ -1,5 +1,6 @@
 //! Progress of a run, and requests to end it.
 
+use odograph::pose_frame::PoseFrame;
 use odograph::trajectory::FrameEstimate;
 
 /// Observes a run. Every method has an empty default, so `()` is an observer that ignores
@@ -30,9 +31,10 @@ pub trait Observer: Sync {
     fn tracking_ends(&self) {}
 
     /// The final estimate of a frame, with loops closed and other sensors used, as `trajectory.csv`
-    /// has it. Called for every frame in order, after the trajectories were written.
-    fn final_frame(&self, estimate: &FrameEstimate) {
-        let _ = estimate;
+    /// has it, and whose pose that is. Called for every frame in order, after the trajectories were
+    /// written.
+    fn final_frame(&self, estimate: &FrameEstimate, of: &PoseFrame) {
+        let _ = (estimate, of);
     }
 
     /// Something about the input that a person should check before waiting for the result, as a

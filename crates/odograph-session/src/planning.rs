@@ -67,7 +67,7 @@ impl RunBuilder {
             camera,
             rig,
             frame: self.frame.or(rig.lever_arm.map(|_| FrameChoice::BaseLink)),
-            antenna: self.antenna()?,
+            antenna: self.antenna(&rig, observer)?,
             correction: None,
             fixed: None,
             motion: None,
@@ -121,15 +121,42 @@ impl RunBuilder {
                 "the frames of {path} are {}x{} but the map was made with a camera of {width}x{height}; {what_to_do}",
                 size.0, size.1
             ))
+        } else if matches!(GivenCamera::by(self), Ok(GivenCamera::Recording(_))) {
+            Error::input(format!(
+                "the frames of {path} are {}x{} but their camera_info is for {}x{}; give --camera FILE, calibrated at the \
+                 recording's size",
+                size.0,
+                size.1,
+                camera.width(),
+                camera.height()
+            ))
         } else {
             other_size(path, size, (camera.width(), camera.height()))
         })
     }
 
-    /// The antenna of the satellite receiver, where the rig file has it.
-    fn antenna(&self) -> Result<Option<LeverArm>> {
-        let Some(MountChoice::File(path)) = &self.mount else { return Ok(None) };
-        rig_file::parse_antenna(&files::read_text(path)?).map_err(|error| error.at(path.display()))
+    /// The antenna of the satellite receiver: that of the rig file, or else of the static
+    /// transforms of the recording, where it is known where the camera is on the robot.
+    fn antenna(&self, rig: &Rig, observer: &dyn Observer) -> Result<Option<LeverArm>> {
+        if let Some(MountChoice::File(path)) = &self.mount {
+            let text = files::read_text(path)?;
+            let given = rig_file::parse_antenna(&text).map_err(|error| error.at(path.display()))?;
+            if given.is_some() {
+                return Ok(given);
+            }
+        }
+        let Some(topic) = self.sensors.gnss_topic.as_deref().filter(|_| rig.lever_arm.is_some()) else {
+            return Ok(None);
+        };
+        let Some((frame, arm)) = odograph_video::recorded_antenna(&self.source.path, topic)? else {
+            return Ok(None);
+        };
+        let [x_m, y_m, z_m] = [arm.x_m, arm.y_m, arm.z_m].map(Rounded);
+        observer.note(&format!(
+            "{frame} in base_link, from /tf_static: x {x_m:.3} m, y {y_m:.3} m, z {z_m:.3} m (gnss_lever_arm_m in a \
+             rig file overrides)"
+        ));
+        Ok(Some(arm))
     }
 }
 

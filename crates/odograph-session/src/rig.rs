@@ -7,7 +7,7 @@ use odograph::camera::{Camera, LeverArm, Rig};
 use odograph::error::{Error, Result};
 use odograph::formats::decimal::Rounded;
 use odograph::formats::{camera_file, rig_file};
-use odograph_video::RecordedMount;
+use odograph_video::{RecordedMount, RecordedTransforms};
 use std::fmt::Display;
 use std::path::Path;
 
@@ -103,10 +103,28 @@ pub(crate) fn recorded_rig(
     if !odograph_video::is_robot_recording(source) {
         return Ok(None);
     }
-    let Some(mount) = odograph_video::recorded_mount(source, topic)? else {
-        return Ok(None);
-    };
-    Ok(rig_of_mount(&mount, source, height_m, observer))
+    Ok(match odograph_video::recorded_mount(source, topic)? {
+        Some(RecordedTransforms::Mount(mount)) => rig_of_mount(&mount, source, height_m, observer),
+        Some(RecordedTransforms::Apart { camera_frame, frames }) => {
+            let camera = match camera_frame.as_str() {
+                "" => "the images, which name no frame,".to_owned(),
+                frame => format!("the frame {frame} of the images"),
+            };
+            observer.note(&format!(
+                "/tf_static ({}) does not connect {camera} with base_link; poses are those of the camera",
+                shortened(&frames)
+            ));
+            None
+        }
+        None => None,
+    })
+}
+
+/// Names for people, the first of many.
+fn shortened(names: &[String]) -> String {
+    const MOST: usize = 8;
+    let more = if names.len() > MOST { ", …" } else { "" };
+    names[..names.len().min(MOST)].join(", ") + more
 }
 
 /// The rig of a camera whose mount is known from static transforms `of` a recording or robot, at

@@ -163,12 +163,19 @@ impl Run {
     fn followed(self, observer: &dyn Observer) -> Result<RunOutcome> {
         let Self { mut plan, source, mut folder, output, reporter, .. } = self;
         let started = Instant::now();
-        let sensors = plan.sensors.read(&plan.source.path)?;
-        let gnss = GnssRecord::read(&plan.sensors, &plan.source.path)?;
+        let mut warnings = Vec::new();
+        let sensors = plan.sensors.read(&plan.source.path, &mut warnings)?;
+        let gnss = GnssRecord::read(&plan.sensors, &plan.source.path, &mut warnings)?;
         // Unreadable inputs are reported before tracking.
         reference::read(&plan)?;
         let description = source.info().description.clone();
-        let tracked = track(&mut plan, source, &mut folder, &output, reporter.as_deref(), observer)?;
+        let mut tracked = track(&mut plan, source, &mut folder, &output, reporter.as_deref(), observer)?;
+        // Of damage every topic that is read tells.
+        for warning in warnings {
+            if !tracked.warnings.contains(&warning) {
+                tracked.warnings.push(warning);
+            }
+        }
         let ending = Ending {
             description: &description,
             sensors: &sensors,

@@ -64,11 +64,14 @@ impl SensorFiles {
         }
     }
 
-    /// Reads the files, and the topics of the recording.
-    pub(crate) fn read(&self, recording: &str) -> Result<Sensors> {
-        let read = |path: &Option<PathBuf>, sensor: SensorKind| -> Result<Option<SensorRecord>> {
+    /// Reads the files, and the topics of the recording; what is wrong with these is added to the
+    /// warnings.
+    pub(crate) fn read(&self, recording: &str, warnings: &mut Vec<String>) -> Result<Sensors> {
+        let mut read = |path: &Option<PathBuf>, sensor: SensorKind| -> Result<Option<SensorRecord>> {
             if let Some(topic) = self.topic(sensor) {
-                return odograph_video::recorded_sensor(recording, topic, sensor).map(Some);
+                let (record, found) = odograph_video::recorded_sensor(recording, topic, sensor)?;
+                warnings.extend(found);
+                return Ok(record);
             }
             let Some(path) = path else { return Ok(None) };
             let text = files::read_text_within(path, MAX_BYTES)?;

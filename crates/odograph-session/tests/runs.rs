@@ -6,6 +6,7 @@ mod clip;
 
 use odograph::error::{ErrorKind, Result};
 use odograph::formats::trajectory_file::parse_tum;
+use odograph::pose_frame::PoseFrame;
 use odograph::trajectory::{FrameEstimate, FrameSummary};
 use odograph_map::MapFile;
 use odograph_session::{MapUse, Observer, ReportInput, RunBuilder, RunEnd, RunReporter, SourcePlan};
@@ -41,7 +42,7 @@ impl Observer for Listening {
         self.heard.lock().unwrap().push("ends".to_owned());
     }
 
-    fn final_frame(&self, estimate: &FrameEstimate) {
+    fn final_frame(&self, estimate: &FrameEstimate, _: &PoseFrame) {
         self.finals.lock().unwrap().push(estimate.into());
     }
 

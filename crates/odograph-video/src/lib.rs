@@ -39,6 +39,8 @@ mod frame;
 mod nal;
 mod source_options;
 mod opened;
+mod time_order;
+mod arrival_clock;
 mod recorded_camera;
 mod contents;
 mod rotation;
@@ -56,10 +58,11 @@ mod source;
 mod inspection;
 mod avi_writer;
 
+pub use arrival_clock::ArrivalClock;
 pub use avi_writer::{AviFormat, AviWriter, jpeg_picture};
 pub use bag::{
-    LiveMessage, LiveTopic, LiveTransforms, RecordedMount, is_recording_folder, is_robot_recording,
-    recorded_camera, recorded_fixes, recorded_mount, recorded_sensor,
+    LiveMessage, LiveTopic, LiveTransforms, RecordedMount, RecordedTransforms, is_recording_folder,
+    is_robot_recording, recorded_antenna, recorded_camera, recorded_fixes, recorded_mount, recorded_sensor,
 };
 pub use bayer::BayerPattern;
 #[cfg(fuzzing)]

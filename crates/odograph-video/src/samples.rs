@@ -1,7 +1,7 @@
 //! Pictures from cameras and streams: JPEG, or uncompressed samples in a buffer.
 
 use crate::bayer::BayerPattern;
-use crate::codec::{jpeg, narrow_full_scale};
+use crate::codec::jpeg;
 use crate::frame::{Chroma, Color, ColorEncoding, Matrix, Picture, picture_from_rgb};
 use crate::guard::guarded;
 use crate::limits;
@@ -13,10 +13,12 @@ use odograph::image::GrayImage;
 pub enum SampleLayout {
     /// One byte per pixel: luminance (V4L2 `GREY`).
     Gray,
-    /// Two bytes per pixel: luminance of 16 bits, full scale.
+    /// Two bytes per pixel: luminance of 8 to 16 bits.
     Gray16 {
         /// Whether the high byte comes first.
         big_endian: bool,
+        /// Number of bits, the low ones; more light than they can state is white.
+        bits: u32,
     },
     /// Four bytes per two pixels: luminance, blue chroma, luminance, red chroma (V4L2 `YUYV`).
     Yuyv,
@@ -114,7 +116,9 @@ impl Picture {
         };
         match layout {
             SampleLayout::Gray => gray(joined(rows())).map(Self::gray),
-            SampleLayout::Gray16 { big_endian } => gray(narrowed(rows(), pixels, big_endian)).map(Self::gray),
+            SampleLayout::Gray16 { big_endian, bits } => {
+                gray(narrowed(rows(), pixels, big_endian, bits)).map(Self::gray)
+            }
             SampleLayout::Rgb => colored(interleaved(rows(), pixels, 3, [0, 1, 2])),
             SampleLayout::Bgr => colored(interleaved(rows(), pixels, 3, [2, 1, 0])),
             SampleLayout::Rgba => colored(interleaved(rows(), pixels, 4, [0, 1, 2])),
@@ -146,12 +150,16 @@ fn joined<'a>(rows: impl Iterator<Item = &'a [u8]>) -> Vec<u8> {
     rows.collect::<Vec<_>>().concat()
 }
 
-/// The samples of rows of 16-bit samples, narrowed to 8 bits.
-fn narrowed<'a>(rows: impl Iterator<Item = &'a [u8]>, pixels: usize, big_endian: bool) -> Vec<u8> {
+/// The samples of rows of samples of `bits` bits in two bytes, narrowed to 8 bits, rounded.
+fn narrowed<'a>(rows: impl Iterator<Item = &'a [u8]>, pixels: usize, big_endian: bool, bits: u32) -> Vec<u8> {
+    let white = (1 << bits.clamp(8, 16)) - 1;
     let read = if big_endian { u16::from_be_bytes } else { u16::from_le_bytes };
     let mut samples = Vec::with_capacity(pixels);
     for row in rows {
-        samples.extend(row.chunks_exact(2).map(|pair| narrow_full_scale(read([pair[0], pair[1]]))));
+        samples.extend(row.chunks_exact(2).map(|pair| {
+            let sample = u32::from(read([pair[0], pair[1]])).min(white);
+            ((255 * sample + white / 2) / white) as u8
+        }));
     }
     samples
 }
@@ -236,8 +244,13 @@ mod tests {
         };
         for (layout, bytes) in [
             (SampleLayout::Gray, rows(|a, b| vec![a, b])),
-            (SampleLayout::Gray16 { big_endian: false }, rows(|a, b| vec![a, a, b, b])),
-            (SampleLayout::Gray16 { big_endian: true }, rows(|a, b| vec![a, a, b, b])),
+            (SampleLayout::Gray16 { big_endian: false, bits: 16 }, rows(|a, b| vec![a, a, b, b])),
+            (SampleLayout::Gray16 { big_endian: true, bits: 16 }, rows(|a, b| vec![a, a, b, b])),
+            (SampleLayout::Gray16 { big_endian: false, bits: 8 }, rows(|a, b| vec![a, 0, b, 0])),
+            (
+                SampleLayout::Gray16 { big_endian: true, bits: 10 },
+                rows(|a, b| vec![a >> 6, a << 2, b >> 6, b << 2]),
+            ),
             (SampleLayout::Rgb, rows(|a, b| vec![a, a, a, b, b, b])),
             (SampleLayout::Bgr, rows(|a, b| vec![a, a, a, b, b, b])),
             (SampleLayout::Rgba, rows(|a, b| vec![a, a, a, 7, b, b, b, 7])),

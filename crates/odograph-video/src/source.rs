@@ -457,11 +457,10 @@ fn first_frame(frames: &mut dyn Frames) -> Result<(f64, Picture, u64)> {
         }
         skipped += 1;
     }
-    let why = frames.take_warnings().into_iter().map(|warning| format!(": {warning}"));
-    Err(pipe::interrupted_or(Error::input(format!(
-        "there is no frame in it{}; record or copy it again",
-        why.collect::<String>()
-    ))))
+    let why = frames.take_warnings();
+    let why =
+        if why.is_empty() { "; record or copy it again".to_owned() } else { format!(": {}", why.join(", ")) };
+    Err(pipe::interrupted_or(Error::input(format!("there is no frame in it{why}"))))
 }
 
 impl std::fmt::Debug for Source {

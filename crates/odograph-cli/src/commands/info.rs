@@ -6,7 +6,7 @@ use crate::{Outcome, console, files};
 use odograph::camera::Camera;
 use odograph::error::{Error, Result};
 use odograph::formats::camera_file;
-use odograph_video::{Contents, RecordedCamera, Stream, StreamUse};
+use odograph_video::{Contents, RecordedCamera, RecordedTransforms, Stream, StreamUse};
 use serde::Serialize;
 use std::fmt::Write;
 use std::path::{Path, PathBuf};
@@ -132,10 +132,15 @@ fn recorded(stream: &Stream) -> Option<&RecordedCamera> {
     }
 }
 
+/// Whether that camera is for images of the size that they have.
+fn is_of_size(stream: &Stream, recorded: &RecordedCamera) -> bool {
+    stream.size.is_none_or(|size| size == (recorded.camera.width(), recorded.camera.height()))
+}
+
 /// Whether a robot recording has the height of the camera with these images.
 fn has_height(file: &str, topic: Option<&str>) -> bool {
     let mount = topic.map(|topic| odograph_video::recorded_mount(file, Some(topic)));
-    mount.is_some_and(|mount| mount.is_ok_and(|mount| mount.is_some_and(|mount| mount.height_m.is_some())))
+    matches!(mount, Some(Ok(Some(RecordedTransforms::Mount(mount)))) if mount.height_m.is_some())
 }
 
 fn json(file: &str, contents: &Contents, fits: &[Option<CameraFit>]) -> Result<String> {
@@ -177,7 +182,8 @@ fn text(
     let shown = console::name(file);
     let is_recording = contents.streams.iter().any(|stream| stream.topic.is_some());
     let _ = match contents.streams.len() {
-        count if is_recording || count != 1 => writeln!(text, "{shown}: {}, {count} topics", contents.format),
+        1 if is_recording => writeln!(text, "{shown}: {}, 1 topic", contents.format),
+        count if count != 1 => writeln!(text, "{shown}: {}, {count} topics", contents.format),
         _ => writeln!(text, "{shown}"),
     };
     for (stream, fits) in contents.streams.iter().zip(fits) {
@@ -220,8 +226,11 @@ fn notes(
     let mut notes = Vec::new();
     if let Some(longest) = stream.gaps.iter().max_by(|a, b| a.length_s.total_cmp(&b.length_s)) {
         notes.push(format!(
-            "{} gaps; the longest is {:.2} s, {:.2} s after the first",
-            stream.gaps.len(),
+            "{} of {:.2} s, {:.2} s after the first",
+            match stream.gaps.len() {
+                1 => "a gap".to_owned(),
+                gaps => format!("{gaps} gaps; the longest is"),
+            },
             longest.length_s,
             longest.after_s
         ));
@@ -234,7 +243,9 @@ fn notes(
             let missing = match (profile, camera) {
                 (Some(profile), _) => format!(" --profile {profile}"),
                 (None, Some(camera)) => format!(" --camera {}{height}", quoted(camera)),
-                (None, None) if recorded(stream).is_some() => height.to_owned(),
+                (None, None) if recorded(stream).is_some_and(|camera| is_of_size(stream, camera)) => {
+                    height.to_owned()
+                }
                 (None, None) => format!(" --camera FILE{height}"),
             };
             let file = quoted(Path::new(file));
@@ -245,13 +256,18 @@ fn notes(
                 format!("odograph run {file}{option}{missing}")
             });
             match (recorded(stream), stream.topic.is_some()) {
+                (Some(other), _) if !is_of_size(stream, other) => notes.push(format!(
+                    "the camera in {} is for images of {}x{}; --camera gives its own",
+                    other.topic,
+                    other.camera.width(),
+                    other.camera.height()
+                )),
                 (Some(RecordedCamera { topic, rectified, .. }), _) => {
                     let rectified = if *rectified { ", as rectified images" } else { "" };
                     notes.push(format!("its camera is in {topic}{rectified}"));
                 }
-                (None, true) => {
-                    notes.push("its camera is not in the recording; --camera gives it".to_owned())
-                }
+                (None, true) => notes
+                    .push("the recording has no camera of it that can be used; --camera gives it".to_owned()),
                 (None, false) => {}
             }
         }

@@ -35,10 +35,15 @@ struct Cdr(Vec<u8>);
 
 impl Cdr {
     fn new(time_ns: u64) -> Self {
+        Self::of(time_ns, "camera")
+    }
+
+    /// A message with a header.
+    fn of(time_ns: u64, frame: &str) -> Self {
         let mut cdr = Self(vec![0, 1, 0, 0]);
         cdr.u32((time_ns / 1_000_000_000) as u32);
         cdr.u32((time_ns % 1_000_000_000) as u32);
-        cdr.text("camera");
+        cdr.text(frame);
         cdr
     }
 
@@ -117,7 +122,7 @@ fn range(time_ns: u64) -> Vec<u8> {
 
 /// `sensor_msgs/msg/NavSatFix` with a deviation of 2 cm; without a fix where there is no place.
 fn fix(time_ns: u64, place: Option<EarthPosition>) -> Vec<u8> {
-    let mut message = Cdr::new(time_ns);
+    let mut message = Cdr::of(time_ns, "gps");
     message.0.push(if place.is_some() { 2 } else { 255 });
     message.align(2);
     message.0.extend(1u16.to_le_bytes());
@@ -305,6 +310,57 @@ fn the_mount_is_taken_from_the_transforms_of_a_recording() {
     assert!(message.contains("warning: the transforms of ahead.mcap are not used"), "{message}");
     let first = &poses(&here.join("ahead/trajectory.tum"))[0];
     assert!((first[3] - 1.0).abs() < 1e-6, "{first:?}");
+}
+
+#[test]
+fn transforms_that_do_not_connect_are_noted() {
+    let place = tempfile::tempdir().unwrap();
+    let here = place.path();
+    let robot = [("base_link", "camera_link", looking_down(0.8))];
+    write_robot(&here.join("robot.mcap"), &["/front/image_raw"], &robot, &[]);
+    let (_, message) = done(here, "run robot.mcap --height 1.0 -o robot");
+    assert!(
+        message.contains(
+            "note: /tf_static (base_link, camera_link) does not connect the frame camera of the images with base_link; \
+             poses are those of the camera\n"
+        ),
+        "{message}"
+    );
+    write(&here.join("two.mcap"), &["/front/image_raw", "/rear/image_raw"]);
+    let output = odograph(here, "live two.mcap --height 1.0 -o live");
+    let message = String::from_utf8_lossy(&output.stderr).into_owned();
+    assert!(
+        output.status.code() == Some(2) && message.contains("can be chosen for odograph run, not for live"),
+        "{message}"
+    );
+}
+
+#[test]
+fn the_antenna_is_where_the_transforms_put_it() {
+    let place = tempfile::tempdir().unwrap();
+    let here = place.path();
+    let origin = EarthPosition::from_degrees(48.2082, 16.3738).unwrap();
+    let fixes = [Some(origin); FRAMES];
+    let robot = [
+        ("base_link", "camera", looking_down(0.8)),
+        ("base_link", "gps", [1.0, 0.5, 0.3, 0.0, 0.0, 0.0, 1.0]),
+    ];
+    let (_, message) = {
+        write_robot(&here.join("robot.mcap"), &["/front/image_raw"], &robot, &fixes);
+        done(here, "run robot.mcap --height 1.0 --gnss-topic /gnss/fix -o robot")
+    };
+    let words = "note: gps in base_link, from /tf_static: x 1.000 m, y 0.500 m, z 0.300 m (gnss_lever_arm_m";
+    assert!(message.contains(words), "{message}");
+    let plan = fs::read_to_string(here.join("robot/run.toml")).unwrap();
+    assert!(plan.contains("[antenna]\nx_m = 1.0\ny_m = 0.5\n"), "{plan}");
+    // That of a rig file comes before it.
+    fs::write(
+        here.join("rig.toml"),
+        "height_m = 1.0\nx_m = 0.3\ny_m = 0.05\nz_m = 0.8\ngnss_lever_arm_m = [0.1, 0, 0]",
+    )
+    .unwrap();
+    let (_, message) = done(here, "run robot.mcap --rig rig.toml --gnss-topic /gnss/fix -o given");
+    assert!(!message.contains("gps in base_link"), "{message}");
 }
 
 /// A message in CDR that is read again.

@@ -1,6 +1,5 @@
 //! Live video sources: cameras, network streams, and recordings played in real time.
 
-mod arrival_clock;
 mod back_off;
 mod http_mjpeg;
 mod multipart;

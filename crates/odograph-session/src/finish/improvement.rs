@@ -89,7 +89,7 @@ impl Improved {
     ) -> Result<()> {
         let frames = self.corrected.as_mut().unwrap_or(&mut tracked.frames);
         frames.each(|frame, _| {
-            observer.final_frame(&pose_frames.frame(frame));
+            observer.final_frame(&pose_frames.frame(frame), pose_frames.at(frame.frame));
             Ok(())
         })
     }

@@ -100,8 +100,13 @@ impl RunBuilder {
     pub fn open_live(&self, options: &LiveOptions, observer: &dyn Observer) -> Result<LiveRun> {
         // A calibration holds for one size only: that is the one to ask a camera for.
         let calibrated = || calibrated_size(self);
-        self.open_live_over(options, observer, |plan, watch| {
+        let opened = self.open_live_over(options, observer, |plan, watch| {
             open_live_input(plan, &options.capture, calibrated, watch)
+        });
+        // The topics of a recording with several are the only list.
+        opened.map_err(|error| match error.sentence_and_list().1 {
+            [] => error,
+            _ => error.at("a topic can be chosen for odograph run, not for live"),
         })
     }
 
@@ -144,7 +149,12 @@ impl RunBuilder {
                 )));
             }
             Some(source) => LiveGnss::Received(GnssReceiver::open(source)?),
-            None => LiveGnss::Recorded(GnssRecord::read(&plan.sensors, &plan.source.path)?),
+            None => {
+                let mut warnings = Vec::new();
+                let record = GnssRecord::read(&plan.sensors, &plan.source.path, &mut warnings)?;
+                warnings.iter().for_each(|warning| observer.warn(warning));
+                LiveGnss::Recorded(record)
+            }
         };
         let info = input.source.info().clone();
         let introduction = Introduction {

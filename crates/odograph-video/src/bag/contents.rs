@@ -28,7 +28,7 @@ pub(crate) fn contents(mut recording: Box<dyn MessageReader>) -> Result<Contents
             times.push(seconds(time_ns));
         }
     }
-    let warnings = recording.take_warnings();
+    let mut warnings = recording.take_warnings();
     let images: Vec<Topic> = topics
         .iter()
         .zip(&roles)
@@ -43,8 +43,12 @@ pub(crate) fn contents(mut recording: Box<dyn MessageReader>) -> Result<Contents
             first.unwrap_or(FirstImage { size: None, encoding: String::new(), is_picture: true });
         let usable_as = match role {
             _ if role.has_frames() && !is_picture => StreamUse::OtherImages,
-            // A camera of an unknown lens model is none; a run says why.
-            _ if role.has_frames() => StreamUse::Frames(camera_of(recording, topic).unwrap_or(None)),
+            _ if role.has_frames() => {
+                StreamUse::Frames(camera_of(recording, topic).unwrap_or_else(|error| {
+                    warnings.push(format!("{} has no camera that can be used: {error}", topic.name));
+                    None
+                }))
+            }
             Role::CameraInfo => StreamUse::CameraInfo,
             Role::Gyro => StreamUse::Gyro,
             Role::Wheel => StreamUse::Wheel,

@@ -171,7 +171,7 @@ fn connect(path: &Path) -> Result<Connection> {
         name.push(ending);
         std::fs::metadata(PathBuf::from(name)).is_ok_and(|file| file.len() > 0)
     };
-    let open = |immutable: bool| -> rusqlite::Result<Connection> {
+    let open = |immutable: bool, cut_off: bool| -> rusqlite::Result<Connection> {
         let flags = OpenFlags::SQLITE_OPEN_READ_ONLY | OpenFlags::SQLITE_OPEN_NO_MUTEX;
         let connection = if immutable {
             Connection::open_with_flags(address(path), flags | OpenFlags::SQLITE_OPEN_URI)?
@@ -181,12 +181,17 @@ fn connect(path: &Path) -> Result<Connection> {
         connection.set_limit(Limit::SQLITE_LIMIT_LENGTH, limits::MAX_SAMPLE_BYTES as i32)?;
         connection.pragma_update(None, "trusted_schema", false)?;
         connection.pragma_update(None, "cell_size_check", true)?;
+        if cut_off {
+            // SQLite then reads a file that is shorter than it states.
+            connection.pragma_update(None, "writable_schema", true)?;
+        }
         connection.query_row("SELECT count(*) FROM sqlite_schema", [], |_| Ok(()))?;
         Ok(connection)
     };
     // What is in a log or a journal beside the file belongs to it.
     let logged = beside("-wal") || beside("-journal");
-    open(!logged).or_else(|_| open(logged)).map_err(|e| failed(&e))
+    let whole = open(!logged, false).or_else(|_| open(logged, false));
+    whole.or_else(|error| open(true, true).map_err(|_| error)).map_err(|e| failed(&e))
 }
 
 /// The address of a file that nobody changes.

@@ -131,10 +131,10 @@ pub(super) struct Files {
 }
 
 impl Files {
-    /// Opens files that follow each other.
+    /// Opens files that follow each other; there are warnings about others.
     ///
     /// Fails if the only file, or all of them, cannot be read.
-    pub fn open(files: Vec<PathBuf>) -> Result<Self> {
+    pub fn open(files: Vec<PathBuf>, warnings: Vec<String>) -> Result<Self> {
         let mut recording = Self {
             files,
             topics: Topics::default(),
@@ -142,7 +142,7 @@ impl Files {
             unpacked: None,
             next: 0,
             format: String::new(),
-            warnings: Vec::new(),
+            warnings,
         };
         let mut failure = None;
         for index in 0..recording.files.len() {
@@ -277,7 +277,8 @@ impl MessageReader for Files {
 
     fn rewind(&mut self) -> Result<()> {
         match &mut self.current {
-            Some(part) if self.files.len() == 1 => part.recording.rewind(),
+            // The first file may have been unpacked.
+            Some(part) if self.next == 1 => part.recording.rewind(),
             _ => {
                 self.current = None;
                 self.next = 0;

@@ -22,20 +22,39 @@ struct BagMetadata {
     relative_file_paths: Vec<String>,
 }
 
-/// The files of a recording in a folder, in their order; `None` if the folder is not one.
+/// The files of a recording in a folder, in their order, and warnings about those that are not
+/// read, one sentence each; `None` if the folder is not one.
 ///
 /// They are those that `metadata.yaml` names. Where it is missing, damaged, or names none that is
 /// there (a recorder that was killed writes it too late), they are the recordings in the folder,
 /// which must be parts of one.
-pub(super) fn files(folder: &Path) -> Result<Option<Vec<PathBuf>>> {
+pub(super) fn files(folder: &Path) -> Result<Option<(Vec<PathBuf>, Vec<String>)>> {
     let named = named_files(folder);
-    if let Some(named) = named.as_ref().filter(|named| !named.is_empty()) {
-        return Ok(Some(named.clone()));
-    }
     let Ok(entries) = std::fs::read_dir(folder) else { return Ok(None) };
     let mut files: Vec<PathBuf> =
         entries.flatten().map(|entry| entry.path()).filter(|path| is_part(path)).collect();
     files.sort_by(|a, b| natural_order(&name_of(a), &name_of(b)));
+    if let Some(named) = &named {
+        let (there, missing): (Vec<PathBuf>, Vec<PathBuf>) =
+            named.iter().cloned().partition(|path| path.is_file());
+        if let Some(first) = there.first() {
+            files.retain(|path| series(path) == series(first) && !there.contains(path));
+            let mut warnings = Vec::new();
+            if !missing.is_empty() {
+                let missing = names(&missing);
+                warnings.push(format!(
+                    "metadata.yaml names {missing}, not in this folder; what was recorded there is missing"
+                ));
+            }
+            if !files.is_empty() {
+                let unread = names(&files);
+                warnings.push(format!(
+                    "metadata.yaml does not name {unread}, left out; remove metadata.yaml to read all parts"
+                ));
+            }
+            return Ok(Some((there, warnings)));
+        }
+    }
     let Some(first) = files.first() else {
         return match named {
             Some(_) => Err(Error::input(
@@ -46,23 +65,29 @@ pub(super) fn files(folder: &Path) -> Result<Option<Vec<PathBuf>>> {
     };
     if let Some(other) = files.iter().find(|path| series(path) != series(first)) {
         return Err(Error::input(format!(
-            "there are several recordings in this folder, such as {} and {}; give one of them",
+            "there are several recordings in this folder, such as {} and {}; give one of them, or all with --resume",
             name_of(first),
             name_of(other)
         )));
     }
-    Ok(Some(files))
+    Ok(Some((files, Vec::new())))
 }
 
-/// The files that the description names, as far as they are there; `None` without a description.
+/// Names of files for people.
+fn names(files: &[PathBuf]) -> String {
+    let names: Vec<String> = files.iter().map(|path| name_of(path)).collect();
+    names.join(", ")
+}
+
+/// The files that the description names, whether they are there or not; `None` without a
+/// description.
 fn named_files(folder: &Path) -> Option<Vec<PathBuf>> {
     let text = read_regular_file(&folder.join("metadata.yaml"), MAX_METADATA).ok()?;
     let text = String::from_utf8(text).ok()?;
     let metadata: Metadata = crate::guard::guarded("YAML", || serde_saphyr::from_str(&text)).ok()?.ok()?;
     let named = metadata.rosbag2_bagfile_information.relative_file_paths;
     // Old recorders name the folder as well, and a folder may have been renamed.
-    let there = named.iter().filter_map(|path| Some(folder.join(Path::new(path).file_name()?)));
-    Some(there.filter(|path| path.is_file()).collect())
+    Some(named.iter().filter_map(|path| Some(folder.join(Path::new(path).file_name()?))).collect())
 }
 
 /// Whether a file is a recording by its ending and its content.
@@ -108,14 +133,25 @@ mod tests {
             std::fs::write(folder.join(name), b"\x89MCAP0\r\n").unwrap();
         }
         std::fs::write(folder.join("b_2.mcap"), "not one").unwrap();
-        let names = || files(folder).unwrap().unwrap().iter().map(|path| name_of(path)).collect::<Vec<_>>();
-        assert_eq!(names(), ["b_0.mcap", "b_1.mcap", "b_10.mcap"]);
+        let read = || {
+            let (files, warnings) = files(folder).unwrap().unwrap();
+            (files.iter().map(|path| name_of(path)).collect::<Vec<_>>(), warnings)
+        };
+        assert_eq!(read(), (["b_0.mcap", "b_1.mcap", "b_10.mcap"].map(str::to_owned).to_vec(), vec![]));
         let text = "rosbag2_bagfile_information:\n  version: 5\n  relative_file_paths:\n    - old/b_1.mcap\n    - ../b_0.mcap\n    - \
                     gone.mcap\n";
         std::fs::write(folder.join("metadata.yaml"), text).unwrap();
-        assert_eq!(names(), ["b_1.mcap", "b_0.mcap"]);
+        let (found, warnings) = read();
+        assert_eq!(found, ["b_1.mcap", "b_0.mcap"]);
+        assert_eq!(
+            warnings,
+            [
+                "metadata.yaml names gone.mcap, not in this folder; what was recorded there is missing",
+                "metadata.yaml does not name b_10.mcap, left out; remove metadata.yaml to read all parts"
+            ]
+        );
         std::fs::write(folder.join("metadata.yaml"), "rosbag2_bagfile_information: [cut").unwrap();
-        assert_eq!(names().len(), 3);
+        assert_eq!(read().0.len(), 3);
         std::fs::write(folder.join("other.mcap"), b"\x89MCAP0\r\n").unwrap();
         assert!(files(folder).unwrap_err().to_string().contains("several recordings"));
     }

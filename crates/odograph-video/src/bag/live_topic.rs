@@ -99,7 +99,7 @@ impl LiveTopic {
     /// If it is damaged, in an encoding that is not read, or no image message.
     pub fn picture(&self, message: &[u8]) -> Result<Picture> {
         match Role::of(&self.0) {
-            Role::Image | Role::CompressedImage => image::picture(&self.0, message, true),
+            Role::Image | Role::CompressedImage => image::picture(&self.0, message, 16, true),
             _ => Err(Error::input(format!("{} has no images", self.0.name))),
         }
     }

@@ -28,7 +28,7 @@ pub(crate) use contents::contents;
 use files::{BagFormat, Files};
 pub(crate) use frames::open_frames;
 pub use live_topic::{LiveMessage, LiveTopic, LiveTransforms};
-pub use mount::{RecordedMount, recorded_mount};
+pub use mount::{RecordedMount, RecordedTransforms, recorded_antenna, recorded_mount};
 use odograph::error::Result;
 use recording::MessageReader;
 pub use sensors::{recorded_fixes, recorded_sensor};
@@ -39,17 +39,17 @@ use std::path::Path;
 /// Fails if it is one and cannot be read. An SQLite database that is not a recording fails as well:
 /// nothing else reads one.
 pub(crate) fn open(path: &Path) -> Result<Option<Box<dyn MessageReader>>> {
-    let files = if path.is_dir() {
+    let (files, warnings) = if path.is_dir() {
         match folder::files(path)? {
-            Some(files) => files,
+            Some(found) => found,
             None => return Ok(None),
         }
     } else if is_recording_file(path)? {
-        vec![path.to_owned()]
+        (vec![path.to_owned()], Vec::new())
     } else {
         return Ok(None);
     };
-    Ok(Some(Box::new(Files::open(files)?)))
+    Ok(Some(Box::new(Files::open(files, warnings)?)))
 }
 
 fn is_recording_file(path: &Path) -> Result<bool> {

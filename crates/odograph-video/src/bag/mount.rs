@@ -1,14 +1,14 @@
-//! How the camera is mounted on the robot, from the static transforms of a recording
-//! (`/tf_static`), with the frames of ROS REP-105.
+//! How the camera and the antenna of a satellite receiver are mounted on the robot, from the static
+//! transforms of a recording (`/tf_static`), with the frames of ROS REP-105.
 
-use super::messages::{frame_id, transforms};
+use super::messages::{Role, frame_id, transforms};
 use super::recording::{MessageReader, Topic};
-use super::topics;
+use super::topics::{self, is_named};
 use nalgebra::Isometry3;
 use odograph::camera::{LeverArm, Rig};
-use odograph::error::Result;
+use odograph::error::{Error, Result};
 use odograph::geometry::GroundPose;
-use std::collections::BTreeMap;
+use std::collections::{BTreeMap, BTreeSet};
 use std::path::Path;
 
 /// Where a camera is on the robot, as a recording has it.
@@ -35,46 +35,94 @@ impl RecordedMount {
     }
 }
 
-/// The mount of the camera whose images a run follows in a robot recording: those of `topic`, or of
-/// the only topic with images. `None` if its static transforms do not connect the frame of the
-/// images with `base_link`.
+/// What the static transforms of a recording say of its camera.
+#[derive(Debug, Clone, PartialEq)]
+pub enum RecordedTransforms {
+    /// Where it is on the robot.
+    Mount(RecordedMount),
+    /// They do not connect it with `base_link`.
+    Apart {
+        /// Name of the camera's frame; empty if its images name none.
+        camera_frame: String,
+        /// Names of the frames that are connected.
+        frames: Vec<String>,
+    },
+}
+
+/// What the static transforms of a robot recording say of the camera whose images a run follows:
+/// those of `topic`, or of the only topic with images. `None` without such transforms.
 ///
 /// # Errors
 /// If the path is not a robot recording or cannot be read, or the topic is not one with images.
-pub fn recorded_mount(path: impl AsRef<Path>, topic: Option<&str>) -> Result<Option<RecordedMount>> {
+pub fn recorded_mount(path: impl AsRef<Path>, topic: Option<&str>) -> Result<Option<RecordedTransforms>> {
     let path = path.as_ref();
     topics::open_with_frames(path, topic)
         .and_then(|(mut recording, images)| mount_of(recording.as_mut(), &images))
         .map_err(|error| error.at(path.display()))
 }
 
+fn mount_of(recording: &mut dyn MessageReader, images: &Topic) -> Result<Option<RecordedTransforms>> {
+    let (tree, camera_frame) = tree_and_frame(recording, images)?;
+    if tree.0.is_empty() {
+        return Ok(None);
+    }
+    Ok(Some(match tree.base_from_camera(&camera_frame) {
+        Some((base_from_camera, height_m)) => {
+            RecordedTransforms::Mount(RecordedMount { camera_frame, base_from_camera, height_m })
+        }
+        None => RecordedTransforms::Apart {
+            camera_frame,
+            frames: tree.names().into_iter().map(str::to_owned).collect(),
+        },
+    }))
+}
+
+/// The frame of the satellite receiver whose positions are on a topic of a robot recording, and
+/// where its antenna is in `base_link` by the static transforms; `None` if they do not say so.
+///
+/// # Errors
+/// If the path is not a robot recording or cannot be read.
+pub fn recorded_antenna(path: impl AsRef<Path>, topic: &str) -> Result<Option<(String, LeverArm)>> {
+    let path = path.as_ref();
+    let find = || {
+        let Some(mut recording) = super::open(path)? else { return Ok(None) };
+        let fits = |other: &&Topic| Role::of(other) == Role::Gnss && is_named(other, topic);
+        let Some(fixes) = recording.topics().iter().find(fits).cloned() else { return Ok(None) };
+        let (tree, frame) = tree_and_frame(recording.as_mut(), &fixes)?;
+        Ok(tree.base_from(&frame).map(|pose| {
+            let t = pose.translation.vector;
+            (frame, LeverArm { x_m: t.x, y_m: t.y, z_m: t.z })
+        }))
+    };
+    find().map_err(|error: Error| error.at(path.display()))
+}
+
 /// Transforms that are published once come with the first messages: more of them are not looked at.
 const MAX_MESSAGES: usize = 1000;
 
-fn mount_of(recording: &mut dyn MessageReader, images: &Topic) -> Result<Option<RecordedMount>> {
+/// The static transforms of a recording, and the frame of the messages on a topic.
+fn tree_and_frame(recording: &mut dyn MessageReader, of: &Topic) -> Result<(Tree, String)> {
+    let (mut tree, mut frame) = (Tree::default(), None);
     if !recording.topics().iter().any(transforms::is_static) {
-        return Ok(None);
+        return Ok((tree, String::new()));
     }
     recording.rewind()?;
-    recording.select(&|topic| transforms::is_static(topic) || topic.is(images));
-    let (mut tree, mut camera_frame) = (Tree::default(), None);
+    recording.select(&|topic| transforms::is_static(topic) || topic.is(of));
     for _ in 0..MAX_MESSAGES {
         if !recording.advance()? {
             break;
         }
         let message = recording.message();
         let topic = &recording.topics()[message.topic];
-        if topic.is(images) {
-            camera_frame.get_or_insert_with(|| frame_id(topic, message.data));
+        if topic.is(of) {
+            frame.get_or_insert_with(|| frame_id(topic, message.data));
         } else {
             transforms::each(topic, message.data, |child, parent, transform| {
                 tree.insert(child, parent, transform);
             });
         }
     }
-    let camera_frame = camera_frame.unwrap_or_default();
-    let found = tree.base_from_camera(&camera_frame);
-    Ok(found.map(|(base_from_camera, height_m)| RecordedMount { camera_frame, base_from_camera, height_m }))
+    Ok((tree, frame.unwrap_or_default()))
 }
 
 /// Frames and their poses in their parents.
@@ -116,20 +164,38 @@ impl Tree {
         line
     }
 
-    /// Pose of a camera in `base_link`, and its height over `base_footprint`, which is the parent
-    /// or a child of `base_link`.
+    /// Names of all frames.
+    fn names(&self) -> BTreeSet<&str> {
+        self.0.iter().flat_map(|(child, (parent, _))| [child.as_str(), parent.as_str()]).collect()
+    }
+
+    /// Pose of one frame in another: over the nearest frame that both descend from.
+    fn pose_in(&self, of: &str, frame: &str) -> Option<Isometry3<f64>> {
+        let above = self.ancestors(frame);
+        self.ancestors(of).iter().find_map(|(name, from_of)| {
+            let (_, from_frame) = above.iter().find(|(other, _)| other == name)?;
+            Some(from_of.inverse() * from_frame)
+        })
+    }
+
+    /// Pose of a frame in one with a name of REP-105, of the same robot if there are several.
+    fn pose_in_named(&self, of: &str, frame: &str) -> Option<Isometry3<f64>> {
+        let robot = |name: &str| bare(name).rsplit_once('/').map(|(robot, _)| robot.to_owned());
+        let mut named: Vec<&str> = self.names().into_iter().filter(|name| is_called(name, of)).collect();
+        named.sort_by_key(|name| robot(name) != robot(frame));
+        named.into_iter().find_map(|name| self.pose_in(name, frame))
+    }
+
+    /// Pose of a frame in `base_link`.
+    pub fn base_from(&self, frame: &str) -> Option<Isometry3<f64>> {
+        self.pose_in_named("base_link", frame)
+    }
+
+    /// Pose of a camera in `base_link`, and its height over `base_footprint`.
     pub fn base_from_camera(&self, camera: &str) -> Option<(Isometry3<f64>, Option<f64>)> {
-        let above = self.ancestors(camera);
-        let (base, base_from_camera) = above.iter().find(|(name, _)| is_called(name, "base_link"))?;
-        let is_footprint = |name: &str| is_called(name, "base_footprint");
-        let below = above.iter().find(|(name, _)| is_footprint(name)).map(|(_, pose)| *pose);
-        let beside = || {
-            let (_, (_, base_from_footprint)) =
-                self.0.iter().find(|(child, (parent, _))| is_footprint(child) && parent == base)?;
-            Some(base_from_footprint.inverse() * base_from_camera)
-        };
-        let height_m = below.or_else(beside).map(|pose| pose.translation.z);
-        Some((*base_from_camera, height_m.filter(|height_m| *height_m > 0.0)))
+        let base_from_camera = self.base_from(camera)?;
+        let height_m = self.pose_in_named("base_footprint", camera).map(|pose| pose.translation.z);
+        Some((base_from_camera, height_m.filter(|height_m| *height_m > 0.0)))
     }
 }
 
@@ -161,8 +227,22 @@ mod tests {
             let whole = tree(&[chain[0], chain[1], footprint]);
             assert!((whole.base_from_camera("camera").unwrap().1.unwrap() - 0.8).abs() < 1e-12);
         }
-        let named = tree(&[("r1/camera", "r1/base_link", at(0.1, 0.0, 0.0))]);
-        assert!(named.base_from_camera("r1/camera").is_some());
+        let named = tree(&[
+            ("r1/camera", "r1/base_link", at(0.1, 0.0, 0.0)),
+            ("r1/base_link", "hall", at(5.0, 0.0, 0.0)),
+            ("a/base_link", "hall", at(7.0, 0.0, 0.0)),
+        ]);
+        assert_eq!(named.base_from("r1/camera"), Some(at(0.1, 0.0, 0.0)));
+        // The camera beside the robot in the tree, or above it.
+        let beside = tree(&[
+            ("base_link", "base_footprint", at(0.0, 0.0, 0.2)),
+            ("mast", "base_footprint", at(0.5, 0.0, 0.9)),
+            ("camera", "mast", at(0.0, 0.1, 0.0)),
+        ]);
+        let (pose, height_m) = beside.base_from_camera("camera").unwrap();
+        assert!((pose.translation.vector - vector![0.5, 0.1, 0.7]).norm() < 1e-12 && height_m == Some(0.9));
+        let above = tree(&[("base_link", "camera", at(-0.5, 0.0, -0.9))]);
+        assert_eq!(above.base_from("camera"), Some(at(0.5, 0.0, 0.9)));
     }
 
     #[test]

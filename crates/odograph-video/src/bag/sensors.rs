@@ -1,6 +1,6 @@
 //! The record of a sensor beside the camera, from a topic.
 
-use super::frames::TopicMessages;
+use super::frames::OrderedMessages;
 use super::messages::{Role, sensor};
 use super::recording::Topic;
 use super::topics::is_named;
@@ -22,24 +22,34 @@ fn type_of(kind: SensorKind) -> (Role, &'static str) {
 /// Reads the record of a sensor from a topic of a robot recording: turn rates from
 /// `sensor_msgs/Imu`, speed from `nav_msgs/Odometry`, distance from `sensor_msgs/Range`.
 ///
-/// Times are those in the messages, as those of the frames. A message whose time is not after the
-/// one before, or without a measurement, is left out.
+/// Times are those in the messages, as those of the frames, and in order as those. A message
+/// without a measurement is left out. The record is `None` if it has fewer than two measurements;
+/// the warnings, one sentence each, say so, and what is wrong with the times and the recording.
 ///
 /// # Errors
-/// If the path is not a robot recording or cannot be read, the topic is missing or of another type,
-/// or it has fewer than two measurements.
-pub fn recorded_sensor(path: impl AsRef<Path>, topic: &str, kind: SensorKind) -> Result<SensorRecord> {
+/// If the path is not a robot recording or cannot be read, or the topic is missing or of another
+/// type.
+pub fn recorded_sensor(
+    path: impl AsRef<Path>,
+    topic: &str,
+    kind: SensorKind,
+) -> Result<(Option<SensorRecord>, Vec<String>)> {
     let path = path.as_ref();
-    read(path, topic, kind).map_err(|error| error.at(path.display()))
+    let read = read(path, topic, kind).map_err(|error| error.at(path.display()))?;
+    Ok((read.0, at_path(path, read.1)))
+}
+
+fn at_path(path: &Path, warnings: Vec<String>) -> Vec<String> {
+    warnings.into_iter().map(|warning| format!("{}: {warning}", path.display())).collect()
 }
 
 /// Reads the positions of a satellite receiver from a topic of a robot recording:
 /// `sensor_msgs/NavSatFix`. Times are taken as by [`recorded_sensor`]. A message without a position
-/// is left out; one without a covariance has the usual one.
+/// is left out; one without a covariance has the usual one. Warnings as there.
 ///
 /// # Errors
-/// As [`recorded_sensor`]; without any position.
-pub fn recorded_fixes(path: impl AsRef<Path>, topic: &str) -> Result<Vec<GnssFix>> {
+/// As [`recorded_sensor`].
+pub fn recorded_fixes(path: impl AsRef<Path>, topic: &str) -> Result<(Vec<GnssFix>, Vec<String>)> {
     let path = path.as_ref();
     let mut fixes = Vec::new();
     let read = each(
@@ -49,52 +59,50 @@ pub fn recorded_fixes(path: impl AsRef<Path>, topic: &str) -> Result<Vec<GnssFix
         (Role::Gnss, "sensor_msgs/NavSatFix"),
         |topic, time_s, data| {
             let Some((place, altitude_m, covariance_m2)) = sensor::position(topic, data) else {
-                return false;
+                return;
             };
             fixes.push(GnssFix { time_s, place, altitude_m, covariance_m2 });
-            true
         },
     );
-    read.map_err(|error| error.at(path.display()))?;
+    let mut warnings = read.map_err(|error| error.at(path.display()))?;
     if fixes.is_empty() {
-        return Err(Error::input(format!("{}: the topic {topic} has no position", path.display())));
+        warnings.push(format!("the topic {topic} has no position and is not used"));
     }
-    Ok(fixes)
+    Ok((fixes, at_path(path, warnings)))
 }
 
-fn read(path: &Path, name: &str, kind: SensorKind) -> Result<SensorRecord> {
+fn read(path: &Path, name: &str, kind: SensorKind) -> Result<(Option<SensorRecord>, Vec<String>)> {
     let (role, type_name) = type_of(kind);
     let mut times_s: Vec<f64> = Vec::new();
     let mut channels: Vec<Vec<f64>> = Vec::new();
-    each(path, name, &kind.to_string(), (role, type_name), |topic, time_s, data| {
-        let Some(values) = sensor::values(topic, data) else { return false };
+    let mut warnings = each(path, name, &kind.to_string(), (role, type_name), |topic, time_s, data| {
+        let Some(values) = sensor::values(topic, data) else { return };
         times_s.push(time_s);
         channels.resize(values.len(), Vec::new());
         for (channel, value) in channels.iter_mut().zip(values) {
             channel.push(value);
         }
-        true
     })?;
     let quantity =
         sensor::quantity(role).ok_or_else(|| Error::usage(format!("a {kind} is not read from a topic")))?;
     if times_s.len() < 2 {
-        return Err(Error::input(format!(
-            "the topic {name} has {} measurements; two are the least",
-            times_s.len()
-        )));
+        let count = times_s.len();
+        warnings
+            .push(format!("the topic {name} has {count} measurements and is not used; two are the least"));
+        return Ok((None, warnings));
     }
-    SensorRecord::new(quantity, times_s, channels).map_err(|error| error.at(name))
+    let record = SensorRecord::new(quantity, times_s, channels).map_err(|error| error.at(name))?;
+    Ok((Some(record), warnings))
 }
 
-/// Visits the messages of a sensor's topic whose time is after that of the last one that `take`
-/// took, which returns whether it did.
+/// Visits the messages of a sensor's topic in the order of their times, and returns the warnings.
 fn each(
     path: &Path,
     name: &str,
     sensor: &str,
     (role, type_name): (Role, &str),
-    mut take: impl FnMut(&Topic, f64, &[u8]) -> bool,
-) -> Result<()> {
+    mut take: impl FnMut(&Topic, f64, &[u8]),
+) -> Result<Vec<String>> {
     let not_one = || {
         Error::usage(format!(
             "only robot recordings (MCAP, ROS bags) have topics, and this is none; leave {name} away"
@@ -114,12 +122,9 @@ fn each(
             "there is no topic {name} of the type {type_name} for a {sensor}; {others}"
         )));
     };
-    let mut messages = TopicMessages::new(recording, topic)?;
-    let mut last_s = f64::NEG_INFINITY;
+    let mut messages = OrderedMessages::new(recording, topic)?;
     while let Some(time_s) = messages.advance()? {
-        if time_s > last_s && take(&messages.topic, time_s, messages.data()) {
-            last_s = time_s;
-        }
+        take(messages.topic(), time_s, messages.data());
     }
-    Ok(())
+    Ok(messages.take_warnings("messages"))
 }

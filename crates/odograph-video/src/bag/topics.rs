@@ -169,7 +169,7 @@ pub(super) fn first_images(
         {
             let size = match Role::of(topic) {
                 Role::Image => image::raw_image(topic, message.data).ok().map(|raw| (raw.width, raw.height)),
-                Role::CompressedImage => image::picture(topic, message.data, false)
+                Role::CompressedImage => image::picture(topic, message.data, 16, false)
                     .ok()
                     .map(|picture| (picture.gray.width(), picture.gray.height())),
                 _ => None,

@@ -55,10 +55,19 @@ pub fn associate(
         })
         .collect();
     if pairs.is_empty() {
+        let is_apart = estimate_span.0 > truth_span.1 || truth_span.0 > estimate_span.1;
         return Err(Error::input(format!(
             "no pose of the estimate ({:.3} s to {:.3} s) is within {max_time_difference_s} s of one of the truth ({:.3} s to \
-             {:.3} s); check that both use the same clock, or allow a larger time difference",
-            estimate_span.0, estimate_span.1, truth_span.0, truth_span.1
+             {:.3} s); {}",
+            estimate_span.0,
+            estimate_span.1,
+            truth_span.0,
+            truth_span.1,
+            if is_apart {
+                "they are of other drives, or of clocks that count from another moment"
+            } else {
+                "check that both use the same clock, or allow a larger time difference"
+            }
         )));
     }
     Ok(pairs)

@@ -79,6 +79,7 @@ fn poses_pair_with_the_nearest_in_time() {
     assert_eq!(times(associate(&estimate, &few, 0.01).unwrap()), [(0.125, before)]);
     let error = associate(&estimate, &trajectory_from(1000.0), 0.01).unwrap_err().to_string();
     assert!(error.contains("no pose of the estimate") && error.contains("1000.000 s"), "{error}");
+    assert!(error.ends_with("of clocks that count from another moment"), "{error}");
     assert!(associate(&estimate, &truth, f64::NAN).is_err() && associate(&estimate, &truth, -1.0).is_err());
     let back = Trajectory { poses: vec![at(1.0), at(0.5)] };
     assert!(associate(&back, &truth, 0.01).unwrap_err().to_string().contains("do not increase"));

@@ -1,6 +1,5 @@
 //! Motion JPEG over HTTP (`multipart/x-mixed-replace`), as phones and network cameras send it.
 
-use super::arrival_clock::ArrivalClock;
 use super::back_off::BackOff;
 use super::multipart::{Multipart, boundary};
 use super::url::HttpUrl;
@@ -8,7 +7,7 @@ use super::{Captured, LiveSource, Watch, check_size};
 use base64::Engine as _;
 use base64::engine::general_purpose::STANDARD as BASE64;
 use odograph::error::{Error, Result};
-use odograph_video::{Frame, Picture, SourceInfo};
+use odograph_video::{ArrivalClock, Frame, Picture, SourceInfo};
 use std::io::{self, BufRead, BufReader, Read, Write};
 use std::net::{TcpStream, ToSocketAddrs};
 use std::sync::{Arc, Mutex, MutexGuard, PoisonError};

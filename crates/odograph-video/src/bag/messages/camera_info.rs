@@ -62,7 +62,9 @@ impl CameraInfo {
     /// Fails if it is not calibrated, or its lens model is not known.
     pub fn camera(&self, rectified: bool) -> Result<Camera> {
         if !self.is_calibrated() {
-            return Err(Error::input("its camera_info is not calibrated (fx is 0)"));
+            return Err(Error::input(
+                "its camera_info is not calibrated (fx is 0); give --camera FILE, as odograph calibrate writes it",
+            ));
         }
         let projection = [self.p[0], self.p[2], self.p[5], self.p[6]];
         let [fx, cx, fy, cy] = if rectified && self.p[0] > 0.0 {

@@ -32,11 +32,12 @@ pub(crate) fn raw_image<'a>(topic: &Topic, data: &'a [u8]) -> Result<RawImage<'a
 }
 
 impl RawImage<'_> {
-    /// Layout of an encoding of `sensor_msgs/image_encodings`; `None` if it is not read.
-    fn layout(&self) -> Option<SampleLayout> {
+    /// Layout of an encoding of `sensor_msgs/image_encodings`; `None` if it is not read. Samples of
+    /// two bytes have so many bits.
+    fn layout(&self, bits: u32) -> Option<SampleLayout> {
         Some(match self.encoding.as_ref() {
             "mono8" | "8UC1" | "8uc1" => SampleLayout::Gray,
-            "mono16" => SampleLayout::Gray16 { big_endian: self.big_endian },
+            "mono16" => SampleLayout::Gray16 { big_endian: self.big_endian, bits },
             "rgb8" => SampleLayout::Rgb,
             // OpenCV's order.
             "bgr8" | "8UC3" | "8uc3" => SampleLayout::Bgr,
@@ -53,8 +54,8 @@ impl RawImage<'_> {
         })
     }
 
-    fn picture(&self, color: bool) -> Result<Picture> {
-        let layout = self.layout().ok_or_else(|| {
+    fn picture(&self, bits: u32, color: bool) -> Result<Picture> {
+        let layout = self.layout(bits).ok_or_else(|| {
             Error::input(format!(
                 "images with the encoding {:?} are not read; mono8, mono16, rgb8, bgr8, rgba8, bgra8, yuv422, \
                  yuv422_yuy2, nv12 and bayer_*8 are",
@@ -79,16 +80,32 @@ fn compressed_image<'a>(topic: &Topic, data: &'a [u8]) -> Result<&'a [u8]> {
     read().ok_or_else(cut_off)
 }
 
-/// Decodes the image of a message.
+/// Numbers of bits that the samples of cameras have, in two bytes each.
+const BITS: [u32; 4] = [10, 12, 14, 16];
+
+/// The bits that the samples of an image of two bytes each have in use; `None` if it is another.
+pub(crate) fn gray_bits(topic: &Topic, data: &[u8]) -> Option<u32> {
+    if Role::of(topic) != Role::Image {
+        return None;
+    }
+    let image = raw_image(topic, data).ok().filter(|image| image.encoding == "mono16" && image.step > 0)?;
+    let read = if image.big_endian { u16::from_be_bytes } else { u16::from_le_bytes };
+    let rows = image.data.chunks(image.step).take(image.height);
+    let samples = rows.flat_map(|row| row.chunks_exact(2).take(image.width));
+    let most = samples.map(|sample| u32::from(read([sample[0], sample[1]]))).max()?;
+    BITS.into_iter().find(|bits| most < 1 << bits)
+}
+
+/// Decodes the image of a message; samples of two bytes have so many `bits`.
 ///
 /// Fails if it is damaged, or in an encoding that is not read.
-pub(crate) fn picture(topic: &Topic, data: &[u8], color: bool) -> Result<Picture> {
+pub(crate) fn picture(topic: &Topic, data: &[u8], bits: u32, color: bool) -> Result<Picture> {
     match Role::of(topic) {
         Role::CompressedImage => {
             let bytes = compressed_image(topic, data)?;
             guarded("image", || pictures::decode(bytes, color))?
         }
-        _ => raw_image(topic, data)?.picture(color),
+        _ => raw_image(topic, data)?.picture(bits, color),
     }
 }
 
@@ -96,7 +113,7 @@ pub(crate) fn picture(topic: &Topic, data: &[u8], color: bool) -> Result<Picture
 /// is unknown. Damaged images and videos are taken for pictures.
 pub(crate) fn is_picture(topic: &Topic, data: &[u8]) -> bool {
     match Role::of(topic) {
-        Role::Image => raw_image(topic, data).map_or(true, |image| image.layout().is_some()),
+        Role::Image => raw_image(topic, data).map_or(true, |image| image.layout(16).is_some()),
         Role::CompressedImage => !is_compressed_depth(topic, data),
         _ => true,
     }

@@ -30,9 +30,28 @@ const CORRECTED_BACK: f64 = 0.3;
 const MIN_STEP: f64 = 0.5;
 const MAX_STEP: f64 = 2.0;
 
+/// Fewest steps that show bursts, and the fraction of them that is then shorter than this fraction
+/// of the mean: frames of a network come a few milliseconds apart in bursts of two and more, those
+/// of a camera that lost half of its frames in no less than half of the mean.
+const FEWEST_STEPS: usize = 30;
+const SHORT_STEPS: f64 = 0.25;
+const SHORT_STEP: f64 = 0.125;
+
+/// Whether times of frames, seconds, come in bursts, as those of arrivals do.
+pub(crate) fn are_bursts(times_s: &[f64]) -> bool {
+    let mut times_s: Vec<f64> = times_s.iter().copied().filter(|time_s| time_s.is_finite()).collect();
+    times_s.sort_by(f64::total_cmp);
+    let steps = times_s.windows(2).map(|pair| pair[1] - pair[0]);
+    // Frames at the same time are copies, and those far apart have others missing between them.
+    let steps: Vec<f64> = steps.filter(|step_s| *step_s > 0.0 && *step_s <= LONGEST_DELAY_S).collect();
+    let mean_s = steps.iter().sum::<f64>() / steps.len() as f64;
+    let short = steps.iter().filter(|step_s| **step_s < SHORT_STEP * mean_s).count();
+    steps.len() >= FEWEST_STEPS && short as f64 >= SHORT_STEPS * steps.len() as f64
+}
+
 /// Clock of a camera that is known by the arrival of its frames.
 #[derive(Debug, Default)]
-pub(super) struct ArrivalClock {
+pub struct ArrivalClock {
     /// Number of each frame, those that are missing counted, and its arrival, seconds.
     arrivals: VecDeque<(f64, f64)>,
     count: f64,
@@ -153,6 +172,25 @@ mod tests {
             let mean = rest.iter().sum::<f64>() / rest.len() as f64;
             assert!((mean - 1.0).abs() < 0.02, "{period_s} {burst}: {mean}");
         }
+    }
+
+    #[test]
+    fn bursts_are_told_from_lost_frames_and_pauses() {
+        for (period_s, burst) in [(1.0 / 30.0, 5), (0.04, 8), (0.1, 2), (1.0 / 60.0, 10)] {
+            let arrivals: Vec<f64> = bursts(period_s, burst, 100).collect();
+            assert!(are_bursts(&arrivals), "{period_s} {burst}");
+            assert!(!are_bursts(&arrivals[..FEWEST_STEPS]), "too few");
+        }
+        let kept = |keep: fn(usize) -> bool| -> Vec<f64> {
+            (0..300).filter(|n| keep(*n)).map(|n| n as f64 / 30.0 + 1e-3 * (n * 7 % 5) as f64).collect()
+        };
+        for times_s in [kept(|_| true), kept(|n| n % 3 == 0), kept(|n| n * n % 7 < 2), kept(|n| n % 30 < 10)]
+        {
+            assert!(!are_bursts(&times_s), "{times_s:?}");
+        }
+        // Every image twice.
+        let twice: Vec<f64> = (0..100).map(|n| f64::from(n / 2) * 0.05).collect();
+        assert!(!are_bursts(&twice));
     }
 
     #[test]
