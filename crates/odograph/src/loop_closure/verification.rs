@@ -14,7 +14,7 @@ use crate::geometry::{Sim2, WithCovariance, wrap_angle};
 use crate::keyframe::relative_pose::position_sigma_m;
 use crate::keyframe::{EdgeKind, KeyframeId, MapEdge};
 use crate::loop_closure::matching::{LoopSighting, Matcher, QueryKeyframe, ReferenceKeyframe};
-use nalgebra::Vector4;
+use nalgebra::Matrix4;
 
 /// A loop closure.
 #[derive(Debug, Clone, PartialEq)]
@@ -25,8 +25,6 @@ pub struct LoopClosure {
     pub inliers: usize,
     /// Inlier ratio: the matched share of the corners in the overlap, 0 to 1.
     pub inlier_ratio: f64,
-    /// Distance between the measured and the predicted position before this loop closure, metres.
-    pub correction_m: f64,
 }
 
 /// Minimum number of matched corners: 10 % of the 400 of a keyframe. Fewer close loops over less
@@ -58,23 +56,14 @@ pub fn verify(
     } else {
         only_one(matcher, query, reference, prior, config)?
     };
-    if misses(&sighting, prior) > GATE {
+    if prior.innovation(&sighting.motion, &sighting.covariance) > GATE {
         return None;
     }
-    Some(closure(new, candidate.id, &sighting, sighting.motion - expected))
+    Some(closure(new, candidate.id, &sighting))
 }
 
 fn is_clear(found: &LoopSighting, config: &LoopClosureConfig) -> bool {
     found.inliers >= MIN_INLIERS && found.inlier_ratio >= config.least_inlier_ratio
-}
-
-/// Normalised innovation squared of a match.
-fn misses(sighting: &LoopSighting, prior: &Prior) -> f64 {
-    normalised_innovation_squared(
-        &sighting.motion,
-        &(prior.reached.covariance + sighting.covariance),
-        &prior.reached.motion,
-    )
 }
 
 /// The unique match that registering the whole images leads to; `None` if there is none or it is
@@ -92,9 +81,7 @@ fn only_one(
     let best_score = guesses.first()?.score;
     let mut found: Option<LoopSighting> = None;
     for guess in guesses.iter().filter(|guess| guess.score >= RIVAL_SCORE * best_score) {
-        if normalised_innovation_squared(&guess.motion, &reached.covariance, &reached.motion)
-            > CONTRADICTION_GATE
-        {
+        if prior.innovation(&guess.motion, &Matrix4::zeros()) > CONTRADICTION_GATE {
             continue;
         }
         let Some(sighting) = matcher.find(query, reference, &guess.motion, GUESS_OFF_PX) else { continue };
@@ -139,17 +126,15 @@ pub fn verify_recognised(
     if recognised.innovation(&found.motion, &found.covariance) > CONTRADICTION_GATE {
         return None;
     }
-    let off = recognised.prior.as_ref().map_or(Vector4::zeros(), |prior| found.motion - prior.reached.motion);
-    Some(closure(new, recognised.id, &found, off))
+    Some(closure(new, recognised.id, &found))
 }
 
-fn closure(new: KeyframeId, old: KeyframeId, found: &LoopSighting, off: Vector4<f64>) -> LoopClosure {
+fn closure(new: KeyframeId, old: KeyframeId, found: &LoopSighting) -> LoopClosure {
     let (motion, covariance) = (found.motion, found.covariance);
     LoopClosure {
         edge: MapEdge { from: new, to: old, kind: EdgeKind::Loop, motion, covariance },
         inliers: found.inliers,
         inlier_ratio: found.inlier_ratio,
-        correction_m: off[X].hypot(off[Y]),
     }
 }
 

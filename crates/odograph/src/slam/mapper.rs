@@ -6,7 +6,7 @@ use crate::camera::{Camera, Rig};
 use crate::error::Result;
 use crate::fixed_pattern::ImageMask;
 use crate::geometry::pose_index::{HEIGHT, ROLL};
-use crate::geometry::{GroundPose, PlaneTransform, Se2, propagated};
+use crate::geometry::{PlaneTransform, Se2, propagated};
 use crate::ground_map::{GroundMap, KeyframeImage, KeyframeStore, MapKeyframe};
 use crate::image::RgbImage;
 use crate::keyframe::{EdgeKind, GroundInView, KeyframeId, MapEdge};
@@ -334,12 +334,6 @@ impl Mapper {
     pub fn scale_in_map(&self) -> Option<SessionScale> {
         let places: Vec<PlaceScale> = self.scales.iter().map(|(.., scale)| *scale).collect();
         SessionScale::of(&places)
-    }
-
-    /// A pose measured against a keyframe, transformed into the map frame; `None` if there is no
-    /// such keyframe.
-    pub fn in_map(&self, keyframe: KeyframeId, odometry: &GroundPose) -> Option<GroundPose> {
-        Some(self.of_run(keyframe)?.map_from_odometry().apply_to_pose(odometry))
     }
 
     /// The number in the map of a keyframe by that in the session.
