@@ -45,7 +45,7 @@ const JUMP: f64 = 0.03;
 const JUMP_OVER_USUAL: f64 = 5.0;
 
 /// A longer step than this many of the last is a gap.
-const USUAL_STEP: f64 = 1.5;
+pub const USUAL_STEP: f64 = 1.5;
 
 /// A surprise counts so much less a frame later.
 const REMEMBERED: f64 = 0.7;

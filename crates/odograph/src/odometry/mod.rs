@@ -570,19 +570,12 @@ impl Odometry {
         PoseEstimate { pose, velocity: filtered.velocity, covariance: estimate.covariance, measured: plane }
     }
 
-    /// Propagates the keyframe's covariance to a pose measured against it: its ground is shifted,
-    /// turned and scaled with its height.
+    /// Propagates the keyframe's covariance to a pose measured against it.
     fn propagated_covariance(&self, pose: &GroundPose) -> Matrix6<f64> {
-        let Some(keyframe) = &self.keyframe else {
-            return Matrix6::zeros();
-        };
-        let (dx, dy) = (pose.x_m - keyframe.pose.x_m, pose.y_m - keyframe.pose.y_m);
-        let mut jacobian = Matrix6::identity();
-        jacobian[(0, 2)] = -dy;
-        jacobian[(1, 2)] = dx;
-        jacobian[(0, 3)] = dx / keyframe.pose.height_m;
-        jacobian[(1, 3)] = dy / keyframe.pose.height_m;
-        propagated(&jacobian, &keyframe.covariance)
+        let keyframe = self.keyframe.as_ref();
+        keyframe.map_or_else(Matrix6::zeros, |keyframe| {
+            propagated(&keyframe.pose.lever_arm_to(pose), &keyframe.covariance)
+        })
     }
 
     /// For the mean vector, measured from frame to frame: only the corners just seen are kept, and

@@ -3,7 +3,7 @@
 
 use super::Odometry;
 use super::keyframe::Keyframe;
-use super::last_pose::{LastPose, seen_apart};
+use super::last_pose::{LastPose, USUAL_STEP, seen_apart};
 use super::tracking::{Measurement, Tracker};
 use crate::geometry::GroundPose;
 use crate::image::Pyramid;
@@ -144,7 +144,7 @@ impl Odometry {
     /// Expected error of the extrapolated pose in the image; `None` if unknown or so large that the
     /// search covers everything anyway.
     fn prediction_off_px(&self, last: &LastPose, time_s: f64) -> Option<f64> {
-        let usual_step = time_s - last.time_s <= 1.5 * last.step_s;
+        let usual_step = time_s - last.time_s <= USUAL_STEP * last.step_s;
         let off_px = 0.5 + 2.0 * last.off_by() * self.camera.focal_px().0;
         (self.config.motion.model != MotionModel::Mean && usual_step && off_px < FULL_SEARCH_PX)
             .then_some(off_px)

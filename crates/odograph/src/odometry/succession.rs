@@ -136,11 +136,11 @@ impl Odometry {
         let agrees = |m: &Measurement| {
             let found = &m.estimate.pose;
             m.inlier_ratio(&old, &self.camera) >= CHANCE_INLIER_RATIO * self.learned.usual_inlier_ratio()
-                && (found.x_m - pose.x_m).hypot(found.y_m - pose.y_m) < position_m
+                && found.distance_m(pose) < position_m
                 && (found.heading_rad - pose.heading_rad).abs() < heading_rad
         };
         let Some(measurement) = measured.ok().filter(agrees) else {
-            self.memory.put_back(old);
+            self.memory.remember(old);
             return Revisit::No(pyramid);
         };
         let by_old = &measurement.estimate;
@@ -157,7 +157,7 @@ impl Odometry {
             (found, Revisit::Serves(pyramid))
         } else {
             let improved = self.improved_by_older(&old, by_old, (pose, uncertainty));
-            self.memory.put_back(old);
+            self.memory.remember(old);
             (improved.0, Revisit::Improves(pyramid, Box::new(improved)))
         };
         let (found, revisit) = result;
@@ -201,7 +201,7 @@ impl Odometry {
     /// Replaces the present keyframe, which is remembered.
     pub(super) fn replace_keyframe(&mut self, keyframe: Keyframe) {
         if let Some(before) = self.keyframe.replace(keyframe) {
-            self.memory.remember(before.retire());
+            self.memory.remember(before);
         }
     }
 
