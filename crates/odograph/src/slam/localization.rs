@@ -50,7 +50,7 @@ impl Mapper {
             )));
         }
         let at = CameraPose { camera: CameraIndex::default(), pose: *tilt, ground: None };
-        let query = self.matcher.query(image, &at, self.map.newest_mask());
+        let query = self.matcher.query(image, &at, self.map.newest_mask_of(camera));
         let signature = self.matcher.signature(&query, &self.places_config);
         // No keyframe has this number: nothing connects the image to the map.
         let new = KeyframeId(u64::MAX);
