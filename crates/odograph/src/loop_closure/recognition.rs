@@ -59,13 +59,12 @@ const RIVAL_SCORE: f64 = 0.6;
 
 /// The places that a new keyframe may show, best first: similar in appearance, not just behind it,
 /// and consistent with the graph. None if different places look alike and the graph does not
-/// decide. Keyframes of which `compared` is false are left out. `reach` starts at the new keyframe;
-/// `None` if nothing connects it.
+/// decide. Keyframes of which `compared` is false are left out. `reach` starts at the new keyframe.
 pub fn recognise(
     places: &PlaceIndex,
     signature: &Signature,
     graph: &PoseGraph,
-    mut reach: Option<&mut Reach<'_>>,
+    reach: &mut Reach<'_>,
     new: (KeyframeId, &CameraPose),
     least_edges: usize,
     matcher: &Matcher,
@@ -75,7 +74,7 @@ pub fn recognise(
     let view_m = matcher.view_m(new.1);
     let mut found: Vec<(Recognised, &PlaceHypothesis)> = Vec::new();
     for hypothesis in &hypotheses {
-        let there = reach.as_mut().and_then(|reach| reach.to(hypothesis.keyframe));
+        let there = reach.to(hypothesis.keyframe);
         if hypothesis.keyframe == new.0 || there.as_ref().is_some_and(|one| one.edges < least_edges) {
             continue;
         }

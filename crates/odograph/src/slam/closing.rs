@@ -68,7 +68,7 @@ impl Mapper {
                 &self.places,
                 &keyframe.signature,
                 &self.graph,
-                Some(&mut reach),
+                &mut reach,
                 here,
                 least,
                 &self.matcher,

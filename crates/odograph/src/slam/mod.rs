@@ -16,7 +16,6 @@ mod closing;
 mod correction;
 mod fusion;
 mod landmarks;
-mod localization;
 mod merge;
 mod fleet;
 
@@ -24,7 +23,6 @@ pub use antenna::{AntennaFix, DriftCorrection};
 pub use correction::{KeyframeSpans, MapFrameCorrection, map_frames};
 pub use fleet::{FleetMapper, OdometryPlacement};
 pub use landmarks::{ControlUse, Landmark, Surveyed};
-pub use localization::Located;
 pub use mapper::Mapper;
 pub use merge::{Merged, merge, optimize};
 pub use session_scale::{PlaceScale, SessionScale};
