@@ -64,7 +64,7 @@ pub struct GroundMap {
     pub rig: Rig,
     /// The sessions that were made with another camera or mount, by session number.
     pub other_cameras: BTreeMap<u32, MountedCamera>,
-    /// What of the images is not ground, of each session where anything is.
+    /// Masks of pixels that do not show ground, by session, where there are any.
     pub masks: BTreeMap<u32, Arc<ImageMask>>,
     /// The keyframes in order of their numbers; a thinned map lacks some numbers.
     pub keyframes: Vec<MapKeyframe>,

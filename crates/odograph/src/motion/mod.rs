@@ -157,8 +157,8 @@ stored!(Observation);
 pub struct Observations<'a> {
     /// The correspondences.
     pub seen: &'a [Observation],
-    /// Standard deviation of the median track by the noise of the images, pixels; infinite where
-    /// all scatter is taken for noise.
+    /// Standard deviation of the median track by the noise of the images, pixels; infinite if
+    /// all scatter is treated as noise.
     pub noise_px: f64,
     /// Pose of the keyframe, which defines the ground points.
     pub keyframe_pose: &'a GroundPose,

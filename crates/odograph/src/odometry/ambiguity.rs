@@ -52,7 +52,7 @@ impl Odometry {
                 false if is_expected => EXPECTED_INLIER_RATIO,
                 false => AMBIGUOUS_INLIER_RATIO,
             };
-        // The support counts corners out of view too: the inlier_ratio is never below it.
+        // The support also counts corners out of view, so it never exceeds the inlier ratio.
         measurement.support < wanted
             && self
                 .keyframe

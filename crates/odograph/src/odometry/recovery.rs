@@ -55,7 +55,7 @@ pub struct RecoveredFrame {
     pub remembered: Option<usize>,
 }
 
-/// What a frame is, and what is known about where it may be.
+/// A lost frame with its expected pose.
 pub struct Lost<'a> {
     /// The frame, to be measured against the present keyframe.
     pub tracker: Tracker<'a>,

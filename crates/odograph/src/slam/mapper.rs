@@ -407,7 +407,7 @@ impl Mapper {
         };
         self.graph.insert(id, pose, new.pose.height_m);
         self.index.insert(id, self.map.keyframes.len());
-        // A site has many keyframes, and knows neither of them.
+        // The many keyframes of a fleet have neither.
         if new.systematic != Matrix6::zeros() {
             self.systematic.insert(id, new.systematic);
         }

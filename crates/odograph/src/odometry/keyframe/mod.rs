@@ -80,7 +80,7 @@ pub struct Keyframe {
     /// What its frames found of the shape of the ground.
     shape: Option<GroundShape>,
     pub corners: Vec<KeyCorner>,
-    /// What of the image is known not to be ground.
+    /// Mask of pixels that are known not to show ground.
     pub mask: Option<Arc<ImageMask>>,
     /// What of the frame that is measured against it is a copy of the frame before.
     pub stale: Option<Arc<ImageMask>>,
