@@ -83,8 +83,8 @@ impl GroundMap {
         self.other_cameras.get(&session).map_or(&self.rig, |other| &other.rig)
     }
 
-    /// The mask that a new image of a camera most likely needs: that of the newest session with this
-    /// camera.
+    /// The mask that a new image of a camera most likely needs: that of the newest session with
+    /// this camera.
     pub fn newest_mask_of(&self, camera: &Camera) -> Option<&Arc<ImageMask>> {
         let has_it = |keyframe: &&MapKeyframe| self.camera_of(keyframe.session) == camera;
         self.masks.get(&self.keyframes.iter().rev().find(has_it)?.session)

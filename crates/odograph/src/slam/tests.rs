@@ -222,12 +222,11 @@ fn corrected(unstated_m: f64) -> usize {
             keyframe.tie.iter_mut().for_each(|tie| tie.motion[0] += unstated_m);
         }
     });
-    let keyframes = &mapper.map().keyframes;
-    let corrects = |closure: &&LoopClosure| {
-        let [from, to] =
-            [closure.edge.from, closure.edge.to].map(|id| &keyframes[id.0 as usize].odometry_pose);
-        let off = closure.edge.motion - relative_motion(from, to);
-        off[0].hypot(off[1]) > 0.5 * unstated_m
+    // Every true loop across the displaced edge: the keyframes' own poses are not displaced.
+    let corrects = |of: &&LoopClosure| {
+        let [from, to] = [of.edge.from, of.edge.to].map(|id| &mapper.map().keyframes[id.0 as usize]);
+        let off = of.edge.motion - relative_motion(&from.odometry_pose, &to.odometry_pose);
+        from.frame > turning && to.frame <= turning && off[0].hypot(off[1]) < 0.5 * unstated_m
     };
     mapper.closures().iter().filter(corrects).count()
 }

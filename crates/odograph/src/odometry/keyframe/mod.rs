@@ -178,8 +178,8 @@ impl Keyframe {
         }
     }
 
-    /// A keyframe that is no longer in use, without its templates: a tenth of the memory. It must be
-    /// prepared again.
+    /// A keyframe that is no longer in use, without its templates: a tenth of the memory. It must
+    /// be prepared again.
     fn retired(mut self) -> Self {
         self.find();
         Self {

@@ -71,7 +71,8 @@ pub struct Marginal<const N: usize> {
 
 impl KeyframeVariation {
     /// Marginalises the tilt of a keyframe. `part` holds the equations of its pairs about
-    /// `keyframe_tilt` against the mount. Its pairs cannot distinguish it from the tilt of the mount.
+    /// `keyframe_tilt` against the mount. Its pairs cannot distinguish it from the tilt of the
+    /// mount.
     pub fn marginalised<const N: usize>(
         &self,
         part: &Part<N>,
