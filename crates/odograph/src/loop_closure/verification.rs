@@ -14,7 +14,7 @@ use crate::geometry::{Sim2, WithCovariance, wrap_angle};
 use crate::keyframe::relative_pose::position_sigma_m;
 use crate::keyframe::{EdgeKind, KeyframeId, MapEdge};
 use crate::loop_closure::matching::{LoopSighting, Matcher, QueryKeyframe, ReferenceKeyframe};
-use nalgebra::Matrix4;
+use nalgebra::{Matrix4, Vector4};
 
 /// A loop closure.
 #[derive(Debug, Clone, PartialEq)]
@@ -25,6 +25,8 @@ pub struct LoopClosure {
     pub inliers: usize,
     /// Inlier ratio: the matched share of the corners in the overlap, 0 to 1.
     pub inlier_ratio: f64,
+    /// Distance between the measured and the predicted position before this loop closure, metres.
+    pub correction_m: f64,
 }
 
 /// Minimum number of matched corners: 10 % of the 400 of a keyframe. Fewer close loops over less
@@ -59,7 +61,7 @@ pub fn verify(
     if prior.innovation(&sighting.motion, &sighting.covariance) > GATE {
         return None;
     }
-    Some(closure(new, candidate.id, &sighting))
+    Some(closure(new, candidate.id, &sighting, sighting.motion - expected))
 }
 
 fn is_clear(found: &LoopSighting, config: &LoopClosureConfig) -> bool {
@@ -126,15 +128,17 @@ pub fn verify_recognised(
     if recognised.innovation(&found.motion, &found.covariance) > CONTRADICTION_GATE {
         return None;
     }
-    Some(closure(new, recognised.id, &found))
+    let off = recognised.prior.as_ref().map_or(Vector4::zeros(), |prior| found.motion - prior.reached.motion);
+    Some(closure(new, recognised.id, &found, off))
 }
 
-fn closure(new: KeyframeId, old: KeyframeId, found: &LoopSighting) -> LoopClosure {
+fn closure(new: KeyframeId, old: KeyframeId, found: &LoopSighting, off: Vector4<f64>) -> LoopClosure {
     let (motion, covariance) = (found.motion, found.covariance);
     LoopClosure {
         edge: MapEdge { from: new, to: old, kind: EdgeKind::Loop, motion, covariance },
         inliers: found.inliers,
         inlier_ratio: found.inlier_ratio,
+        correction_m: off[X].hypot(off[Y]),
     }
 }
 

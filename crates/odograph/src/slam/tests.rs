@@ -5,7 +5,7 @@ use crate::ground_map::{GroundMap, KeyframeImages, MemoryImages, MountedCamera};
 use crate::image::GrayImage;
 use crate::keyframe::relative_pose::{compose, relative_motion};
 use crate::keyframe::{EdgeKind, KeyframeId, MapEdge};
-use crate::loop_closure::{LoopClosure, LoopClosureConfig};
+use crate::loop_closure::LoopClosureConfig;
 use crate::motion::Random;
 use crate::odometry::{FrameReference, KeyframeEvent, NewKeyframe, Odometry, OdometryConfig};
 use crate::simulation::{Ground, Renderer, shared_ground};
@@ -222,13 +222,7 @@ fn corrected(unstated_m: f64) -> usize {
             keyframe.tie.iter_mut().for_each(|tie| tie.motion[0] += unstated_m);
         }
     });
-    // Every true loop across the displaced edge: the keyframes' own poses are not displaced.
-    let corrects = |of: &&LoopClosure| {
-        let [from, to] = [of.edge.from, of.edge.to].map(|id| &mapper.map().keyframes[id.0 as usize]);
-        let off = of.edge.motion - relative_motion(&from.odometry_pose, &to.odometry_pose);
-        from.frame > turning && to.frame <= turning && off[0].hypot(off[1]) < 0.5 * unstated_m
-    };
-    mapper.closures().iter().filter(corrects).count()
+    mapper.closures().iter().filter(|closure| closure.correction_m > 0.5 * unstated_m).count()
 }
 
 /// Odometry that states its error too small contradicts every loop. A second sighting confirms the
