@@ -6,7 +6,6 @@
 //! [`Board`] defines the positions of a board's points, in metres. A [`BoardFinder`] detects the
 //! board in an image and returns a [`BoardView`]: the indices of the detected points and their
 //! pixels. [`calibrate`] estimates the camera from many views and returns a [`Calibration`].
-//! [`board_pose`] estimates the pose of a board relative to a calibrated camera from one view.
 //! [`rig_from_boards`] estimates height and tilt of the camera from a board that lies on the floor,
 //! and [`calibration_file`] writes a calibration down.
 //!
@@ -32,6 +31,6 @@ pub use extrinsics::{
 pub use finder::{BoardFinder, MarkerFinder, NotFound, SeenInstead, SeenMarker, nothing_found, seen_instead};
 pub use marker_family::MarkerFamily;
 pub use solver::{
-    BendEvidence, BoardPose, BoardShape, CalibratedView, Calibration, CalibrationConfig, LensModel,
-    ModelComparison, Parameter, Verdict, board_pose, calibrate,
+    BendEvidence, BoardShape, CalibratedView, Calibration, CalibrationConfig, LensModel, ModelComparison,
+    Parameter, Verdict, calibrate,
 };

@@ -1,4 +1,4 @@
-//! What is added to the option parser's errors: an example of the command, or what was probably
+//! Hints appended to the option parser's errors: an example of the command, or what was probably
 //! meant.
 
 use crate::console::quoted;

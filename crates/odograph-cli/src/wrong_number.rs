@@ -113,7 +113,7 @@ mod tests {
                 "{arguments}: {said}"
             );
         }
-        // What is not about a number stays.
+        // Other errors are unchanged.
         assert!(said("odograph run a --motion 1").contains("possible values"));
         assert!(said("odograph run a --height x").contains("give a length as 0.9"));
     }

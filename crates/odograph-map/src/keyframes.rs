@@ -17,7 +17,7 @@ use odograph::geometry::GroundPose;
 use odograph::ground_map::{KeyframeImage, KeyframeImages, MapKeyframe};
 use odograph::keyframe::{KeyframeId, MapEdge};
 use odograph::place_recognition::Signature;
-use rusqlite::{Connection, OptionalExtension, Row, params};
+use rusqlite::{Connection, OptionalExtension, Row, ToSql, params, params_from_iter};
 use std::collections::BTreeMap;
 
 const INSERT: &str = "INSERT INTO keyframes VALUES (?1, ?2, ?3, ?4, ?5, ?6, ?7, ?8, ?9, ?10, ?11, ?12, ?13, ?14, ?15, ?16, ?17, ?18, ?19, ?20, \
@@ -314,35 +314,15 @@ pub(crate) fn insert(
     image: &StoredImage,
 ) -> rusqlite::Result<()> {
     let id = keyframe.id.0;
-    let (now, then, cov) = (&keyframe.pose, &keyframe.odometry_pose, &keyframe.covariance);
-    let sd = |k: usize| cov[(k, k)].max(0.0).sqrt();
-    connection.prepare_cached(INSERT)?.execute(params![
-        id,
-        point_geometry(now.x_m, now.y_m),
-        keyframe.session,
-        keyframe.segment,
-        keyframe.frame,
-        keyframe.time_s,
-        now.x_m,
-        now.y_m,
-        now.heading_rad,
-        now.height_m,
-        now.roll_rad,
-        now.pitch_rad,
-        sd(0),
-        sd(1),
-        sd(2),
-        sd(3),
-        sd(4),
-        sd(5),
-        then.x_m,
-        then.y_m,
-        then.heading_rad,
-        then.height_m,
-        then.roll_rad,
-        then.pitch_rad,
-        bytes_from_symmetric(cov),
-    ])?;
+    let (now, then) = (&keyframe.pose, keyframe.odometry_pose.to_vector());
+    let (geometry, covariance) =
+        (point_geometry(now.x_m, now.y_m), bytes_from_symmetric(&keyframe.covariance));
+    let first: [&dyn ToSql; 6] =
+        [&id, &geometry, &keyframe.session, &keyframe.segment, &keyframe.frame, &keyframe.time_s];
+    let numbers = pose_numbers(now, &keyframe.covariance);
+    let numbers = numbers.iter().chain(&then).map(|number| number as &dyn ToSql);
+    let values = first.into_iter().chain(numbers).chain([&covariance as &dyn ToSql]);
+    connection.prepare_cached(INSERT)?.execute(params_from_iter(values))?;
     connection
         .prepare_cached("INSERT INTO odograph_signature VALUES (?1, ?2)")?
         .execute(params![id, keyframe.signature.to_bytes()])?;
@@ -356,30 +336,24 @@ pub(crate) fn insert(
     geopackage::grow_extent(connection, "keyframes", Extent([now.x_m, now.y_m, now.x_m, now.y_m]))
 }
 
+/// A pose in the order of its columns, and its standard deviations.
+fn pose_numbers(pose: &GroundPose, covariance: &Matrix6<f64>) -> Vec<f64> {
+    let deviations = covariance.diagonal().map(|variance| variance.max(0.0).sqrt());
+    pose.to_vector().iter().chain(&deviations).copied().collect()
+}
+
 fn move_keyframes(
     connection: &Connection,
     poses: &[(KeyframeId, GroundPose, Matrix6<f64>)],
 ) -> rusqlite::Result<()> {
     let mut statement = connection.prepare_cached(MOVE)?;
     for (id, now, covariance) in poses {
-        let sd = |k: usize| covariance[(k, k)].max(0.0).sqrt();
-        statement.execute(params![
-            id.0,
-            point_geometry(now.x_m, now.y_m),
-            now.x_m,
-            now.y_m,
-            now.heading_rad,
-            now.height_m,
-            now.roll_rad,
-            now.pitch_rad,
-            sd(0),
-            sd(1),
-            sd(2),
-            sd(3),
-            sd(4),
-            sd(5),
-            bytes_from_symmetric(covariance),
-        ])?;
+        let (geometry, bytes) = (point_geometry(now.x_m, now.y_m), bytes_from_symmetric(covariance));
+        let first: [&dyn ToSql; 2] = [&id.0, &geometry];
+        let numbers = pose_numbers(now, covariance);
+        let numbers = numbers.iter().map(|number| number as &dyn ToSql);
+        statement
+            .execute(params_from_iter(first.into_iter().chain(numbers).chain([&bytes as &dyn ToSql])))?;
     }
     set_extent(connection)
 }
@@ -396,7 +370,7 @@ fn set_extent(connection: &Connection) -> rusqlite::Result<()> {
     geopackage::set_extent(connection, "keyframes", extent)
 }
 
-/// A keyframe without covariance and signature, and the bytes of these.
+/// A keyframe without covariance and signature, and the bytes of its covariance and signature.
 pub(crate) fn read(row: &Row<'_>) -> rusqlite::Result<(MapKeyframe, Vec<u8>, Option<Vec<u8>>)> {
     let pose = |first: usize| pose_from(row, first);
     let keyframe = MapKeyframe {

@@ -175,8 +175,8 @@ impl FoundLens {
             all.collect::<Vec<_>>().join(", ")
         };
         format!(
-            "the lens bends with {}, not with {} as the camera file says, which is {:.1} px at the edge of the image: the path was followed with the \
-             former, which is in camera-found.yaml; odograph calibrate measures it, --motion rigid insists on the camera file",
+            "the lens has {}, not {} as in the camera file, a difference of {:.1} px at the edge of the image: the path was followed with \
+             the estimate, which is in camera-found.yaml; odograph calibrate measures it, --motion rigid insists on the camera file",
             of(|known| known.found),
             of(|known| known.given),
             self.off_px

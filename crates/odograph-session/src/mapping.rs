@@ -16,7 +16,7 @@ use odograph::error::{Error, Result};
 use odograph::fixed_pattern::ImageMask;
 use odograph::geometry::{GroundPoint, GroundPose, Sim2};
 use odograph::georeference::{Anchor, Georeference};
-use odograph::ground_map::{KeyframeImage, KeyframeImages, MapKeyframe, MemoryImages};
+use odograph::ground_map::{KeyframeImage, KeyframeImages, MemoryImages};
 use odograph::keyframe::{EdgeKind, KeyframeId};
 use odograph::mosaic::Mosaic;
 use odograph::numerics::median;
@@ -172,11 +172,9 @@ impl Mapping {
         &self.mapper
     }
 
-    /// What of the images was not ground when the map was last continued with this camera.
+    /// Mask of pixels that did not show ground when the map was last continued with this camera.
     pub fn expected_mask(&self) -> Option<&Arc<ImageMask>> {
-        let map = self.mapper.map();
-        let has_it = |keyframe: &&MapKeyframe| *map.camera_of(keyframe.session) == self.file.camera;
-        map.masks.get(&map.keyframes.iter().rev().find(has_it)?.session)
+        self.mapper.map().newest_mask_of(&self.file.camera)
     }
 
     /// Path of the map file.
@@ -469,7 +467,7 @@ impl CorrectedFrames {
     ) {
         let (Some(a), Some(b)) = (&before.estimate, &after.estimate) else { return };
         let from = frame_moved.map_or(a.pose, |moved| moved.apply_to_pose(&a.pose));
-        let moved_m = (from.x_m - b.pose.x_m).hypot(from.y_m - b.pose.y_m);
+        let moved_m = from.distance_m(&b.pose);
         self.squares_m2 += moved_m * moved_m;
         self.most_m = self.most_m.max(moved_m);
         self.posed += 1;

@@ -35,7 +35,7 @@ pub struct MarkerWatch {
     pub family: MarkerFamily,
     finder: MarkerFinder,
     camera: Camera,
-    /// The file of the control points, and these.
+    /// The control points and their file.
     pub control: Option<(PathBuf, Vec<ControlPoint>)>,
     pub times: Timings,
     /// Sides of squares that read as markers but are of another size, metres.

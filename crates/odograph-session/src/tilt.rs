@@ -53,7 +53,7 @@ fn steady(later: &[[f64; 2]]) -> Option<String> {
     (size > WORTH_TELLING_RAD && variance.sqrt() < STEADY * size).then(|| {
         let [roll, pitch] = mean.map(|tilt_rad| Rounded(tilt_rad.to_degrees()));
         format!(
-            "the camera seems to sit otherwise than was nominal, by {roll:+.1}° of roll and {pitch:+.1}° of pitch: until that was learned the path was bent and \
+            "the camera is tilted against the rig file by {roll:+.1}° of roll and {pitch:+.1}° of pitch: until that was learned the path was bent and \
              stretched; odograph ground measures its mount, and --rig gives it"
         )
     })

@@ -168,7 +168,7 @@ impl Drive {
         let pose = |frame: &FrameEstimate| frame.estimate.as_ref().map(|known| known.pose);
         let moved = before.iter().zip(frames).filter_map(|(before, after)| {
             let (before, after) = (pose(before)?, pose(after)?);
-            Some((after.x_m - before.x_m).hypot(after.y_m - before.y_m))
+            Some(after.distance_m(&before))
         });
         let summaries: Vec<FrameSummary> = frames.iter().map(FrameSummary::from).collect();
         Ok(Ok(Summary {

@@ -15,8 +15,8 @@
 //!   against one map: 24,200 per ground.
 //! * `kidnapped`: single images anywhere in a map of 1,000 m² (or `area`), with any heading,
 //!   blurred and under other lighting: recognised, and registered against the keyframe that shows
-//!   their ground ([`odograph::slam::Mapper::locate`]). Height and tilt of the camera are known, as
-//!   for a fixed mount.
+//!   their ground, each as a recording of one frame that continues the map. Height and tilt of the
+//!   camera are known, as for a fixed mount.
 //! * `speed`: queries of a map of 10,000 keyframes. It consists of 400 images and 24 copies of
 //!   each, whose descriptors are XORed with a constant. This keeps the descriptor statistics but
 //!   makes each copy a different place.
@@ -28,14 +28,14 @@ mod processor_time;
 use nalgebra::Matrix6;
 use odograph::camera::{Camera, Distortion, Rig};
 use odograph::error::Result;
-use odograph::geometry::{GroundPose, Pixel, wrap_angle};
+use odograph::geometry::{GroundPose, Pixel, PlaneTransform, Se2, wrap_angle};
 use odograph::ground_map::{GroundMap, KeyframeImage, MapKeyframe};
 use odograph::ground_map::{KeyframeStore, MemoryImages};
 use odograph::image::{GrayImage, Pyramid, RgbImage};
-use odograph::keyframe::KeyframeId;
+use odograph::keyframe::{KeyframeId, MapEdge};
 use odograph::loop_closure::LoopClosureConfig;
 use odograph::motion::Random;
-use odograph::odometry::OdometryConfig;
+use odograph::odometry::{KeyframeEvent, NewKeyframe, OdometryConfig};
 use odograph::place_recognition::{PlaceHypothesis, PlaceIndex, PlacesConfig, Signature};
 use odograph::slam::Mapper;
 use odograph_simulation::{Ground, Renderer, Texture, Tiling};
@@ -265,7 +265,8 @@ fn field(scene: &mut ExampleScene, side_m: f64, step_m: f64) -> Vec<GroundPose> 
 fn kidnapped(name: &str, seed: u64, area_m2: f64) -> Result<()> {
     let mut scene = ExampleScene::new(name, 320, seed)?;
     let side_m = area_m2.sqrt();
-    let keyframes = field(&mut scene, side_m, 0.5);
+    // The true poses of the map's keyframes, and of the queries that have joined it.
+    let mut truth = field(&mut scene, side_m, 0.5);
     let mut images = MemoryImages::default();
     let mut map = GroundMap {
         camera: scene.camera.clone(),
@@ -275,7 +276,7 @@ fn kidnapped(name: &str, seed: u64, area_m2: f64) -> Result<()> {
         keyframes: Vec::new(),
         edges: Vec::new(),
     };
-    for (number, pose) in keyframes.iter().enumerate() {
+    for (number, pose) in truth.iter().enumerate() {
         let gray = scene.picture(pose, false);
         let signature =
             Signature::of(&Pyramid::new(gray.clone(), 4), &scene.camera, None, pose, &scene.config);
@@ -293,32 +294,52 @@ fn kidnapped(name: &str, seed: u64, area_m2: f64) -> Result<()> {
         images.keep(&keyframe, KeyframeImage { gray, color: None }, &[])?;
         map.keyframes.push(keyframe);
     }
-    let new = KeyframeId(keyframes.len() as u64);
-    let mapper = Mapper::continuing(map, &OdometryConfig::default(), LoopClosureConfig::default(), 1, new);
+    let in_map = truth.len();
+    let new = KeyframeId(in_map as u64);
+    let config = LoopClosureConfig { sightings: 1, ..LoopClosureConfig::default() };
+    let mut mapper = Mapper::continuing(map, &OdometryConfig::default(), config, 1, new);
     let (mut off_mm, mut off_deg, mut times_ms, mut wrong) = (Vec::new(), Vec::new(), Vec::new(), 0);
     // A small area gets fewer queries, two per square metre.
     let queries = QUERIES.min((2.0 * area_m2) as usize);
-    for _ in 0..queries {
+    for number in 0..queries {
         let (x, y) = (0.5 * side_m * (scene.signed() + 1.0), 0.5 * side_m * (scene.signed() + 1.0));
         let query = scene.pose(x, y, 10f64.to_radians());
-        let picture = scene.picture(&query, true);
+        let frame = NewKeyframe {
+            id: KeyframeId(number as u64),
+            frame: number as u64,
+            time_s: number as f64,
+            segment: number,
+            pose: GroundPose::level(HEIGHT_M).with_mount_of(&query),
+            covariance: Matrix6::zeros(),
+            systematic: Matrix6::zeros(),
+            tie: None,
+            image: scene.picture(&query, true),
+            mask: None,
+            ground: None,
+        };
+        truth.push(query);
+        let known = mapper.closures().len();
         let begun = busy_ms();
-        let found = mapper.locate(picture, &query, &mut images)?;
+        mapper.take(KeyframeEvent::Made(Box::new(frame)), None, &mut images)?;
         times_ms.push(busy_ms() - begun);
-        let Some(found) = found else { continue };
-        let off_m = (found.pose.x_m - query.x_m).hypot(found.pose.y_m - query.y_m);
+        let Some(MapEdge { to, motion, .. }) = mapper.closures().get(known).map(|found| found.edge) else {
+            continue;
+        };
+        let query_from_keyframe = Se2::new(motion[0], motion[1], motion[2]);
+        let found = truth[to.0 as usize].se2() * query_from_keyframe.inverse();
+        let off_m = (found.x_m - query.x_m).hypot(found.y_m - query.y_m);
         // A position error above five spots counts as another place.
         if off_m > 5.0 * scene.config.spot_m {
             wrong += 1;
             continue;
         }
         off_mm.push(1e3 * off_m);
-        off_deg.push(wrap_angle(found.pose.heading_rad - query.heading_rad).abs().to_degrees());
+        off_deg.push(wrap_angle(found.heading_rad - query.heading_rad).abs().to_degrees());
     }
     println!(
         "{name:9} {} keyframes over {area_m2} m²: {:.1} % of {queries} pictures found, {wrong} elsewhere; off {:.2} mm {:.3}° (median)  {:.2} mm {:.3}° (95 %); \
          {:.1} ms (median), {:.1} ms (95 %), {:.1} ms (most)",
-        keyframes.len(),
+        in_map,
         100.0 * off_mm.len() as f64 / queries as f64,
         quantile(&mut off_mm, 0.5),
         quantile(&mut off_deg, 0.5),

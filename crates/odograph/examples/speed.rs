@@ -15,7 +15,7 @@
 #![allow(clippy::print_stdout)]
 
 use odograph::camera::{Camera, Rig};
-use odograph::correction::{FieldOfViewKept, ImageCorrection, undistorted_pixel};
+use odograph::correction::{FieldOfViewKept, ImageCorrection};
 use odograph::detection::{Corner, DetectionConfig, detect};
 use odograph::error::{Error, Result};
 use odograph::flow::{FlowConfig, Template, Warp, track};
@@ -195,7 +195,7 @@ fn stages(camera: &Camera, frames: &[GrayImage], with_tracks: bool) -> Result<St
         let pixels: Vec<Pixel> = corners.iter().map(|c| Pixel::new(c.x as f64, c.y as f64)).collect();
         timed(1, &mut || {
             pixels.iter().for_each(|&pixel| {
-                black_box(undistorted_pixel(camera, pixel));
+                black_box(camera.ray_from_pixel(pixel));
             });
         });
         let mut templates: Vec<Template> = Vec::new();

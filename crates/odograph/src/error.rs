@@ -3,6 +3,7 @@
 use std::error::Error as Cause;
 use std::fmt;
 use std::io;
+use std::ops::RangeInclusive;
 
 /// The category of an error; decides the exit code of the program.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
@@ -62,6 +63,19 @@ impl Error {
     /// An [`ErrorKind::Output`] error of a folder that cannot be made, with what to do.
     pub fn not_made(place: impl fmt::Display, why: io::Error) -> Self {
         Self::output(format!("{place} cannot be made: {why}{}", remedy(why.kind()))).caused_by(why)
+    }
+
+    /// A [`ErrorKind::Usage`] error if a parameter is out of its range. Not a number lies in none.
+    pub(crate) fn check_range<T: PartialOrd + fmt::Display>(
+        name: &str,
+        value: T,
+        range: RangeInclusive<T>,
+    ) -> Result<()> {
+        if range.contains(&value) {
+            return Ok(());
+        }
+        let (least, most) = range.into_inner();
+        Err(Self::usage(format!("{name} is {value}; it must lie between {least} and {most}")))
     }
 
     /// The category of this error.

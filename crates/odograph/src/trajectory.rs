@@ -120,6 +120,14 @@ pub struct PoseEstimate {
     pub measured: PlaneMeasurement,
 }
 
+impl PoseEstimate {
+    /// The pose as measured by the frame's own pixels.
+    pub fn measured_pose(&self) -> GroundPose {
+        let PlaneMeasurement { x_m, y_m, heading_rad, .. } = self.measured;
+        GroundPose { x_m, y_m, heading_rad, ..self.pose }
+    }
+}
+
 /// Result of the pipeline for one frame.
 #[derive(Debug, Clone, PartialEq)]
 pub struct FrameEstimate {

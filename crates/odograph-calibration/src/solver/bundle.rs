@@ -342,11 +342,6 @@ impl Bundle<'_> {
     pub fn information(&self, state: &BundleState) -> Option<SharedMatrix> {
         self.linearise(state).reduced(0.0).map(|(information, ..)| information)
     }
-
-    /// Information matrix of the pose of each view, conditional on all other unknowns.
-    pub fn pose_information(&self, state: &BundleState) -> Vec<Matrix6<f64>> {
-        self.linearise(state).views.into_iter().map(|view| view.own).collect()
-    }
 }
 
 /// The pose after a perturbation (ω, δ) in the camera frame: rotation about the camera axes, then

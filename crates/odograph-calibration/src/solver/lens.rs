@@ -70,22 +70,6 @@ impl Lens {
         Self { model, numbers }
     }
 
-    /// The lens of a camera.
-    pub fn from_camera(camera: &Camera) -> Self {
-        let model = match camera.distortion() {
-            Distortion::None => LensModel::Pinhole,
-            Distortion::BrownConrady { .. } => LensModel::BrownConrady8,
-            Distortion::KannalaBrandt { .. } => LensModel::KannalaBrandt4,
-            Distortion::DoubleSphere { .. } => LensModel::DoubleSphere,
-        };
-        let mut lens = Self::new(model, 1.0, camera.principal_px());
-        (lens.numbers[0], lens.numbers[1]) = camera.focal_px();
-        for (number, coefficient) in lens.numbers[4..].iter_mut().zip(camera.distortion().coefficients()) {
-            *number = coefficient;
-        }
-        lens
-    }
-
     /// Converts to a camera with the given image size; fails if the parameters are invalid.
     pub fn camera(&self, size: (usize, usize)) -> Result<Camera> {
         let [fx, fy, cx, cy, a, b, c, d, e, f, g, h] = self.numbers;

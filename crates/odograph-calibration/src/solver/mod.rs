@@ -9,7 +9,6 @@ mod choice;
 mod config;
 mod fit;
 mod lens;
-mod pose;
 mod quality;
 mod result;
 mod sights;
@@ -18,9 +17,8 @@ mod verdict;
 mod zhang;
 
 pub use config::{CalibrationConfig, LensModel};
-pub use pose::board_pose;
 pub use result::{
-    BendEvidence, BoardPose, BoardShape, CalibratedView, Calibration, ModelComparison, Parameter, Verdict,
+    BendEvidence, BoardShape, CalibratedView, Calibration, ModelComparison, Parameter, Verdict,
 };
 
 use super::{Board, BoardView};

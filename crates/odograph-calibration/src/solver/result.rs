@@ -2,7 +2,7 @@
 
 use super::config::LensModel;
 use super::quality::ErrorMap;
-use nalgebra::{DMatrix, Isometry3, Matrix6};
+use nalgebra::{DMatrix, Isometry3};
 use odograph::camera::Camera;
 use odograph::geometry::Pixel;
 use std::fmt;
@@ -168,20 +168,4 @@ impl Calibration {
     pub fn expected_error_over_image_px(&self) -> f64 {
         self.error_map.over_image_px()
     }
-}
-
-/// The pose of a board relative to a calibrated camera.
-#[derive(Debug, Clone, PartialEq)]
-pub struct BoardPose {
-    /// Pose: transforms points from the board frame to the camera frame.
-    pub camera_from_board: Isometry3<f64>,
-    /// Covariance of the pose for a perturbation (ω, δ) in the camera frame, rotation (radians)
-    /// before translation (metres): the true pose maps a board point p to `exp(ω) R p + t + δ`. The
-    /// camera is assumed exact.
-    pub covariance: Matrix6<f64>,
-    /// RMS reprojection error, pixels.
-    pub rms_px: f64,
-    /// For each used point its index and its residual (detected minus predicted position) in x and
-    /// y, pixels.
-    pub residuals: Vec<(usize, f64, f64)>,
 }

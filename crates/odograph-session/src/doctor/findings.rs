@@ -371,7 +371,7 @@ impl Seen<'_> {
 
     /// A rolling shutter of unknown readout time, and its effect at the speed of the recording.
     fn shutter(&self) -> Option<Finding> {
-        // With an assumed lens what it bends otherwise would be taken for the shutter.
+        // The distortion error of an assumed lens would be attributed to the shutter.
         let is_assumed = matches!(self.lens, GivenLens::Missing | GivenLens::OtherSize(..));
         let learned =
             self.tracking.readout_s.filter(|(_, deviation_s)| !is_assumed && *deviation_s <= KNOWN_S);
@@ -526,7 +526,7 @@ impl Seen<'_> {
             "lens",
             (off_px, "px"),
             Judgement::of(off_px, 0.1, 20.0),
-            format!("bends otherwise than the camera file says, by {off_px:.1} px at the edge of the image"),
+            format!("differs from the camera file by {off_px:.1} px at the edge of the image"),
             "calibrate again, at the zoom, focus and size of the recording: odograph calibrate",
         ))
     }

@@ -341,7 +341,7 @@ impl Following<'_, '_> {
         let before = self.frames.last().filter(|before| before.segment == next.segment);
         let before = before.map(|before| self.tracker.pose_frames.frame(before));
         match (before.as_ref().and_then(|before| before.estimate.as_ref()), &next.estimate) {
-            (Some(a), Some(b)) => (b.pose.x_m - a.pose.x_m).hypot(b.pose.y_m - a.pose.y_m),
+            (Some(a), Some(b)) => b.pose.distance_m(&a.pose),
             _ => 0.0,
         }
     }

@@ -10,24 +10,6 @@ use crate::geometry::{Pixel, Ray};
 use crate::image::simd::remap::{ONE, Remap, SourcePosition};
 use crate::image::{GrayImage, RgbImage};
 
-/// Undistorts a pixel: its position in a pinhole camera of the same focal lengths and principal
-/// point as `camera`. May lie outside the image. `None` where the lens model has no ray for the
-/// pixel.
-pub fn undistorted_pixel(camera: &Camera, pixel: Pixel) -> Option<Pixel> {
-    camera.ray_from_pixel(pixel).map(|ray| pinhole_pixel(camera, ray))
-}
-
-/// Distorts a pixel: the inverse of [`undistorted_pixel`]. `None` where the lens model is not
-/// injective.
-pub fn distorted_pixel(camera: &Camera, pixel: Pixel) -> Option<Pixel> {
-    camera.pixel_from_ray(pinhole_ray(camera, pixel))
-}
-
-fn pinhole_pixel(camera: &Camera, ray: Ray) -> Pixel {
-    let ((fx, fy), (cx, cy)) = (camera.focal_px(), camera.principal_px());
-    Pixel::new(fx * ray.x + cx, fy * ray.y + cy)
-}
-
 fn pinhole_ray(camera: &Camera, pixel: Pixel) -> Ray {
     let ((fx, fy), (cx, cy)) = (camera.focal_px(), camera.principal_px());
     Ray::new((pixel.x - cx) / fx, (pixel.y - cy) / fy)
@@ -93,12 +75,6 @@ impl ImageCorrection {
     /// Number of pixels of a rectified image that lie outside the source; they are black.
     pub fn pixels_without_source(&self) -> usize {
         self.remap.without_source()
-    }
-
-    /// Position in the rectified image of a source pixel; may lie outside the image. `None` where
-    /// the lens model has no ray for the pixel.
-    pub fn corrected_pixel(&self, pixel: Pixel) -> Option<Pixel> {
-        self.source.ray_from_pixel(pixel).map(|ray| pinhole_pixel(&self.corrected, ray))
     }
 
     /// Position in the source of a rectified pixel; `None` outside the source, whose border is half

@@ -43,6 +43,13 @@ fn by_definition(camera: &Camera, corrected: &Camera, image: &GrayImage, x: usiz
     Some(upper * (1.0 - v) + lower * v)
 }
 
+/// Position in the rectified image of a source pixel.
+fn corrected_pixel(source: &Camera, correction: &ImageCorrection, pixel: Pixel) -> Pixel {
+    let (ray, pinhole) = (source.ray_from_pixel(pixel).unwrap(), correction.camera());
+    let ((fx, fy), (cx, cy)) = (pinhole.focal_px(), pinhole.principal_px());
+    Pixel::new(fx * ray.x + cx, fy * ray.y + cy)
+}
+
 proptest! {
     #![proptest_config(ProptestConfig::with_cases(16))]
     #[test]
@@ -89,12 +96,9 @@ proptest! {
     fn points_come_back(x in 0.0..63.0, y in 0.0..47.0) {
         let pixel = Pixel::new(x, y);
         for camera in cameras() {
-            let there = undistorted_pixel(&camera, pixel).unwrap();
-            let back = distorted_pixel(&camera, there).unwrap();
-            prop_assert!(back.distance(pixel) < 1e-6);
             for kept in every_way() {
                 let correction = ImageCorrection::new(&camera, kept).unwrap();
-                let there = correction.corrected_pixel(pixel).unwrap();
+                let there = corrected_pixel(&camera, &correction, pixel);
                 prop_assert!(correction.source_pixel(there).unwrap().distance(pixel) < 1e-6);
             }
         }
@@ -138,7 +142,7 @@ fn whole_view_contains_all_source_pixels_and_touches_the_border() {
         let (mut left, mut right, mut top, mut bottom) = (f64::MAX, f64::MIN, f64::MAX, f64::MIN);
         for y in 0..SIZE.1 {
             for x in 0..SIZE.0 {
-                let at = correction.corrected_pixel(Pixel::new(x as f64, y as f64)).unwrap();
+                let at = corrected_pixel(&camera, &correction, Pixel::new(x as f64, y as f64));
                 (left, right) = (left.min(at.x), right.max(at.x));
                 (top, bottom) = (top.min(at.y), bottom.max(at.y));
             }

@@ -137,7 +137,7 @@ fn jumps(from: &Waypoint, to: &Waypoint) -> bool {
     moved.xy().norm() > limit || moved[HEADING].abs() > STANDING_SHARE
 }
 
-/// How the middle one of three frames lies to the line between the others.
+/// Deviation of a frame from the linear interpolation of its neighbours.
 #[derive(Debug, Clone, Copy, Default)]
 struct Remainder {
     /// From the frame to the line.

@@ -4,7 +4,7 @@ use super::SmoothedFrame;
 use super::coordinate::{Measured, smooth_coordinate};
 use crate::camera::Rig;
 use crate::pose_frame::PoseFrames;
-use crate::trajectory::{StampedPose, Trajectory};
+use crate::trajectory::StampedPose;
 use nalgebra::{Isometry3, Translation3, UnitQuaternion, Vector3};
 use std::f64::consts::TAU;
 
@@ -82,13 +82,6 @@ impl Carrier {
             Some(StampedPose { time_s: times_s[i], world_from_camera })
         })
     }
-}
-
-/// The path of the carrier ([`Carrier`]) from a complete path of the camera.
-pub fn carrier_path(path: &[SmoothedFrame], rig: &Rig) -> Trajectory {
-    let mut carrier = Carrier::for_frames(rig, path.len());
-    path.iter().for_each(|frame| carrier.push(frame));
-    Trajectory { poses: carrier.path().collect() }
 }
 
 /// Spectral density of the measurement noise. Its value is uncritical as long as the noise is small

@@ -115,22 +115,23 @@ impl CoordinateFilter {
         let transition = transition(t);
         let jerk = white_jerk(t);
         self.state = transition * self.state;
-        let carried = transition * self.covariance * transition.transpose();
+        let propagated = transition * self.covariance * transition.transpose();
         let innovation = measured - self.state[0];
         // Covariance matching (R. Mehra, 1970): the excess of the squared innovation over the
         // propagated variance plus the measurement variance is attributed to the jerk, and its
         // average is the density. A single innovation beyond the gate takes effect at once (strong
         // tracking filter; D. Zhou and P. Frank, 1996).
         if jerk[(0, 0)] > 0.0 {
-            let owed = (innovation * innovation - carried[(0, 0)] - variance) / jerk[(0, 0)];
-            self.matched += MATCHING_RATE * (owed - self.matched);
-            let expected = carried[(0, 0)] + self.matched.max(self.least_density) * jerk[(0, 0)] + variance;
+            let excess = (innovation * innovation - propagated[(0, 0)] - variance) / jerk[(0, 0)];
+            self.matched += MATCHING_RATE * (excess - self.matched);
+            let expected =
+                propagated[(0, 0)] + self.matched.max(self.least_density) * jerk[(0, 0)] + variance;
             if innovation * innovation > OUT_OF_PROPORTION * expected {
-                self.matched = owed;
+                self.matched = excess;
             }
         }
         let density = self.matched.max(self.least_density);
-        let predicted = carried + density * jerk;
+        let predicted = propagated + density * jerk;
         let gain = predicted.column(0) / (predicted[(0, 0)] + variance);
         self.state += gain * innovation;
         // Joseph form: keeps the covariance symmetric and positive semidefinite.

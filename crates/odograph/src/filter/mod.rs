@@ -2,9 +2,9 @@
 //!
 //! * [`ConstantAcceleration`]: causal Kalman filter after Perić et al., "Software system for
 //!   simultaneous localization and mapping based on video content analysis", for live use;
-//! * [`smooth`]: fixed-interval smoother for recordings, which also interpolates through tracking
+//! * [`Smoother`]: fixed-interval smoother for recordings, which also interpolates through tracking
 //!   gaps;
-//! * [`carrier_path`]: low-pass filtered path of the carrier, without the vibration of its camera;
+//! * [`Carrier`]: low-pass filtered path of the carrier, without the vibration of its camera;
 //! * [`AbruptMotion`]: frames that no motion of a camera explains;
 //! * [`fusion`]: fusion with a gyroscope, compass, wheel odometer and range finder.
 //!
@@ -18,9 +18,9 @@ pub mod fusion;
 mod smoother;
 
 pub use abrupt_motion::{AbruptFrame, AbruptMotion};
-pub use carrier::{CARRIER_CUTOFF_HZ, Carrier, carrier_path};
+pub use carrier::{CARRIER_CUTOFF_HZ, Carrier};
 pub use constant_acceleration::{ConstantAcceleration, Filtered};
-pub use smoother::{PoseSource, SmoothedFrame, SmoothedPath, Smoother, Walk, smooth};
+pub use smoother::{PoseSource, SmoothedFrame, SmoothedPath, Smoother, Walk};
 
 use serde::{Deserialize, Serialize};
 

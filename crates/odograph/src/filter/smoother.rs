@@ -58,20 +58,8 @@ pub struct SmoothedFrame {
     pub segment: usize,
 }
 
-/// Smooths a recording: one entry for each frame from the first measured frame to the last,
-/// interpolated where a frame was not measured. Times must not decrease.
-pub fn smooth(frames: &[FrameEstimate], config: &FilterConfig) -> Vec<SmoothedFrame> {
-    let mut smoother = Smoother::for_frames(frames.len());
-    frames.iter().for_each(|frame| smoother.push(frame));
-    let path = smoother.smoothed(config);
-    let mut walk = path.walk();
-    let mut smoothed = Vec::with_capacity(frames.len());
-    frames.iter().for_each(|frame| walk.next(frame, &mut |frame| smoothed.push(frame)));
-    smoothed
-}
-
-/// Collects the measurements of a recording whose frames are not all in memory, for the same result
-/// as [`smooth`].
+/// Collects the measurements of a recording. The result has one entry for each frame from the first
+/// measured frame to the last, interpolated where a frame was not measured.
 #[derive(Debug)]
 pub struct Smoother {
     /// Timestamps from the first measured frame on, seconds.

@@ -6,7 +6,9 @@ use crate::geometry::GroundPose;
 use crate::motion::Random;
 use crate::odometry::{Odometry, OdometryConfig};
 use crate::simulation::{Effects, Path, PathKind, Simulation, SimulationConfig, Texture};
-use crate::trajectory::{FrameEstimate, LossReason, PlaneMeasurement, PoseEstimate, TrackStatus, Velocity};
+use crate::trajectory::{
+    FrameEstimate, LossReason, PlaneMeasurement, PoseEstimate, TrackStatus, Trajectory, Velocity,
+};
 use nalgebra::{Matrix6, Rotation3};
 
 fn gaussian(random: &mut Random) -> f64 {
@@ -52,6 +54,24 @@ fn measured(path: impl Fn(f64) -> [f64; 3], sigma: f64, count: usize) -> Vec<Fra
 fn lose(frame: &mut FrameEstimate) {
     frame.estimate = None;
     frame.status = TrackStatus::Lost { reason: LossReason::Bare };
+}
+
+/// Smooths a recording whose frames are all in memory.
+pub(super) fn smooth(frames: &[FrameEstimate], config: &FilterConfig) -> Vec<SmoothedFrame> {
+    let mut smoother = Smoother::for_frames(frames.len());
+    frames.iter().for_each(|frame| smoother.push(frame));
+    let path = smoother.smoothed(config);
+    let mut walk = path.walk();
+    let mut smoothed = Vec::with_capacity(frames.len());
+    frames.iter().for_each(|frame| walk.next(frame, &mut |frame| smoothed.push(frame)));
+    smoothed
+}
+
+/// The path of the carrier from a complete path of the camera.
+fn carrier_path(path: &[SmoothedFrame], rig: &Rig) -> Trajectory {
+    let mut carrier = Carrier::for_frames(rig, path.len());
+    path.iter().for_each(|frame| carrier.push(frame));
+    Trajectory { poses: carrier.path().collect() }
 }
 
 /// Root mean square position errors of the measured and of the smoothed positions.

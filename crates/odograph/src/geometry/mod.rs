@@ -17,7 +17,8 @@ pub use earth::{EarthPosition, TangentPlane};
 pub use placement::Placement;
 pub use planar::{PlaneTransform, Se2, Sim2, WithCovariance, propagated};
 
-use nalgebra::{Isometry3, Matrix3, Rotation3, Translation3, UnitQuaternion, Vector3, Vector6};
+use nalgebra::{Isometry3, Matrix3, Matrix6, Rotation3, Translation3, UnitQuaternion, Vector3, Vector6};
+use pose_index::{HEIGHT, X, Y};
 use serde::{Deserialize, Serialize};
 
 /// A point in the original (distorted) camera image, in pixels.
@@ -161,6 +162,11 @@ impl GroundPose {
         Self { x_m, y_m, heading_rad, height_m, roll_rad, pitch_rad }
     }
 
+    /// Distance to another pose over the ground, metres.
+    pub fn distance_m(&self, other: &Self) -> f64 {
+        (self.x_m - other.x_m).hypot(self.y_m - other.y_m)
+    }
+
     /// The rigid transform `world_from_camera` of the plane: position and heading.
     pub fn se2(&self) -> Se2 {
         Se2::new(self.x_m, self.y_m, self.heading_rad)
@@ -172,6 +178,18 @@ impl GroundPose {
         let turned = Sim2::about_origin(to.heading_rad - self.heading_rad, to.height_m / self.height_m);
         let (x_m, y_m) = turned.rotate(self.x_m, self.y_m);
         Sim2 { x_m: to.x_m - x_m, y_m: to.y_m - y_m, ..turned }
+    }
+
+    /// How a pose that is measured against this one, which is `to`, moves with the six numbers of
+    /// this one: its ground is shifted, turned and scaled with its height.
+    pub fn lever_arm_to(&self, to: &Self) -> Matrix6<f64> {
+        let mut by_self = Matrix6::identity();
+        let (dx_m, dy_m) = (to.x_m - self.x_m, to.y_m - self.y_m);
+        by_self.fixed_view_mut::<4, 4>(0, 0).copy_from(&Sim2::lever_arm(dx_m, dy_m));
+        // By the height, not by its logarithm.
+        by_self[(X, HEIGHT)] /= self.height_m;
+        by_self[(Y, HEIGHT)] /= self.height_m;
+        by_self
     }
 
     /// The pose at a share of the way to `to`, 0 to 1, by the shorter turn; roll and pitch stay.

@@ -4,7 +4,7 @@
 use super::{AntennaPosition, GnssFix};
 use crate::geometry::{GroundPoint, Sim2};
 use crate::motion::Random;
-use crate::numerics::{Loss, robust_variance};
+use crate::numerics::{Loss, robust_variance, variance_of_mean_factor};
 use nalgebra::{Matrix2, Matrix5, SMatrix, Vector2, Vector5};
 use std::f64::consts::PI;
 
@@ -267,9 +267,7 @@ impl Solver<'_> {
 }
 
 impl Solution {
-    /// How many times more uncertain a mean of the residuals is than one of independent residuals,
-    /// as variance: (1 + ρ) / (1 − ρ) of a first-order autoregressive process with the correlation
-    /// ρ of neighbours.
+    /// The [`variance_of_mean_factor`] of the residuals.
     fn correlation(&self, middle_m: Vector2<f64>) -> f64 {
         let reach = GATE_SQUARED * self.variance;
         let whitened: Vec<Vector2<f64>> = self
@@ -282,10 +280,7 @@ impl Solution {
                 factor.l().solve_lower_triangular(&self.model.residual(pair, middle_m))
             })
             .collect();
-        let both: f64 = whitened.windows(2).map(|two| two[0].dot(&two[1])).sum();
-        let all: f64 = whitened.iter().map(Vector2::norm_squared).sum();
-        let correlation = if all > 0.0 { (both / all).clamp(0.0, 0.98) } else { 0.0 };
-        (1.0 + correlation) / (1.0 - correlation)
+        variance_of_mean_factor(&whitened)
     }
 }
 

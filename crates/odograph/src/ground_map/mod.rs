@@ -64,7 +64,7 @@ pub struct GroundMap {
     pub rig: Rig,
     /// The sessions that were made with another camera or mount, by session number.
     pub other_cameras: BTreeMap<u32, MountedCamera>,
-    /// What of the images is not ground, of each session where anything is.
+    /// Masks of pixels that do not show ground, by session, where there are any.
     pub masks: BTreeMap<u32, Arc<ImageMask>>,
     /// The keyframes in order of their numbers; a thinned map lacks some numbers.
     pub keyframes: Vec<MapKeyframe>,
@@ -83,10 +83,10 @@ impl GroundMap {
         self.other_cameras.get(&session).map_or(&self.rig, |other| &other.rig)
     }
 
-    /// The mask that a new image of the first session's camera most likely needs: that of the
-    /// newest session with this camera.
-    pub fn newest_mask(&self) -> Option<&Arc<ImageMask>> {
-        let has_it = |keyframe: &&MapKeyframe| *self.camera_of(keyframe.session) == self.camera;
+    /// The mask that a new image of a camera most likely needs: that of the newest session with
+    /// this camera.
+    pub fn newest_mask_of(&self, camera: &Camera) -> Option<&Arc<ImageMask>> {
+        let has_it = |keyframe: &&MapKeyframe| self.camera_of(keyframe.session) == camera;
         self.masks.get(&self.keyframes.iter().rev().find(has_it)?.session)
     }
 

@@ -15,24 +15,31 @@ pub use noise::noise_variance;
 pub use pyramid::Pyramid;
 pub use restoration::{ImageDefects, Restoration};
 
-/// An owned gray (luminance) image, 8 bits per pixel, rows without padding.
+/// An owned image, 8 bits per sample, channels interleaved, rows without padding.
 #[derive(Debug, Clone, PartialEq, Eq)]
-pub struct GrayImage {
+pub struct Image<const CHANNELS: usize> {
     width: usize,
     height: usize,
     samples: Vec<u8>,
 }
 
-impl GrayImage {
+/// A gray (luminance) image.
+pub type GrayImage = Image<1>;
+
+/// A colour image: red, green and blue (sRGB).
+pub type RgbImage = Image<3>;
+
+impl<const CHANNELS: usize> Image<CHANNELS> {
     /// A black image of the given size, pixels.
     pub fn new(width: usize, height: usize) -> Self {
-        Self { width, height, samples: vec![0; width * height] }
+        Self { width, height, samples: vec![0; CHANNELS * width * height] }
     }
 
-    /// An image from its samples in row order; `None` unless there are exactly `width * height` of
-    /// them.
+    /// An image from its interleaved samples in row order; `None` unless there are exactly
+    /// `CHANNELS * width * height` of them.
     pub fn from_samples(width: usize, height: usize, samples: Vec<u8>) -> Option<Self> {
-        (samples.len() == width.checked_mul(height)?).then_some(Self { width, height, samples })
+        let count = width.checked_mul(height)?.checked_mul(CHANNELS)?;
+        (samples.len() == count).then_some(Self { width, height, samples })
     }
 
     /// Width in pixels.
@@ -45,16 +52,18 @@ impl GrayImage {
         self.height
     }
 
-    /// All samples in row order.
+    /// All samples in row order, interleaved.
     pub fn samples(&self) -> &[u8] {
         &self.samples
     }
 
-    /// All samples in row order, mutable.
+    /// All samples in row order, interleaved and mutable.
     pub fn samples_mut(&mut self) -> &mut [u8] {
         &mut self.samples
     }
+}
 
+impl GrayImage {
     /// Takes the samples out of the image, in row order.
     pub fn into_samples(self) -> Vec<u8> {
         self.samples
@@ -95,51 +104,7 @@ impl GrayImage {
     }
 }
 
-/// An owned colour image, 8 bits each of red, green and blue (sRGB), interleaved, rows without
-/// padding.
-#[derive(Debug, Clone, PartialEq, Eq)]
-pub struct RgbImage {
-    width: usize,
-    height: usize,
-    samples: Vec<u8>,
-}
-
 impl RgbImage {
-    /// A black image of the given size, pixels.
-    pub fn new(width: usize, height: usize) -> Self {
-        Self { width, height, samples: vec![0; 3 * width * height] }
-    }
-
-    /// An image from its interleaved samples in row order; `None` unless their number is exactly `3
-    /// * width * height`.
-    pub fn from_samples(width: usize, height: usize, samples: Vec<u8>) -> Option<Self> {
-        (samples.len() == width.checked_mul(height)?.checked_mul(3)?).then_some(Self {
-            width,
-            height,
-            samples,
-        })
-    }
-
-    /// Width in pixels.
-    pub fn width(&self) -> usize {
-        self.width
-    }
-
-    /// Height in pixels.
-    pub fn height(&self) -> usize {
-        self.height
-    }
-
-    /// All samples in row order, interleaved: red, green, blue, red, …
-    pub fn samples(&self) -> &[u8] {
-        &self.samples
-    }
-
-    /// All samples in row order, interleaved and mutable.
-    pub fn samples_mut(&mut self) -> &mut [u8] {
-        &mut self.samples
-    }
-
     /// The colour (red, green, blue) of a pixel.
     ///
     /// # Panics

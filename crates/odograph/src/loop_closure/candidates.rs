@@ -1,13 +1,14 @@
 //! Loop closure candidates from the predicted position.
 
 use super::LoopClosureConfig;
+use super::gate::normalised_innovation_squared;
 use crate::geometry::GroundPose;
 use crate::geometry::pose_index::{HEADING, X, Y};
 use crate::keyframe::KeyframeId;
 use crate::keyframe::relative_pose::position_sigma_m;
 use crate::loop_closure::matching::{CameraPose, Matcher};
 use crate::pose_graph::{PoseGraph, Reach, Reached};
-use nalgebra::Vector4;
+use nalgebra::{Matrix4, Vector4};
 
 /// An older keyframe that may overlap the new one.
 #[derive(Debug, Clone)]
@@ -69,6 +70,12 @@ impl Prior {
         };
         Self { reached, sigma_px, strength }
     }
+
+    /// Normalised innovation squared of a measured pose.
+    pub fn innovation(&self, motion: &Vector4<f64>, covariance: &Matrix4<f64>) -> f64 {
+        let Reached { motion: expected, covariance: prior, .. } = &self.reached;
+        normalised_innovation_squared(motion, &(prior + covariance), expected)
+    }
 }
 
 /// The older keyframes that probably overlap a new one and whose position is certain enough, with
@@ -85,7 +92,7 @@ pub fn candidates(
     let (Some(here), Some(at)) = (graph.pose(new), known(new)) else { return Vec::new() };
     let view_m = matcher.view_m(&at);
     let reach_m = 1.5 * view_m + 2.0 * MAX_UNCERTAIN_VIEWS * view_m;
-    let near = |other: &GroundPose| (other.x_m - here.x_m).hypot(other.y_m - here.y_m) < reach_m;
+    let near = |other: &GroundPose| other.distance_m(&here) < reach_m;
     // With no keyframes nearby the graph is not searched.
     let mut left = graph.poses().filter(|(id, other)| *id != new && near(other)).count();
     let mut found = Vec::new();

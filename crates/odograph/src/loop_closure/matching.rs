@@ -297,8 +297,7 @@ impl Matcher {
         let prior = learned.rig_prior.prior(&found.prediction, motion);
         let reference = keyframe.dense(&self.of(query.at.camera).camera);
         let whole = dense::refine(camera, reference, &image, &corners.pose, &prior, motion)?;
-        let off_m =
-            (whole.estimate.pose.x_m - corners.pose.x_m).hypot(whole.estimate.pose.y_m - corners.pose.y_m);
+        let off_m = whole.estimate.pose.distance_m(&corners.pose);
         let is_significant = whole.score >= DenseEstimate::LEAST_SCORE
             && whole.agreement >= DenseEstimate::LEAST_AGREEMENT
             && off_m < pixel_m
@@ -317,7 +316,7 @@ impl Matcher {
         unevenness: f64,
     ) -> Option<LoopSighting> {
         let (keyframe, pose) = (&query.keyframe, &estimate.pose);
-        let parallax_m = unevenness * (pose.x_m - keyframe.pose.x_m).hypot(pose.y_m - keyframe.pose.y_m);
+        let parallax_m = unevenness * pose.distance_m(&keyframe.pose);
         let off_m2 = (off_px * self.pixel_m(&query.at)).powi(2) + parallax_m * parallax_m;
         let off_rad2 = off_m2 / (0.5 * self.view_m(&query.at)).powi(2);
         let unmodelled = Matrix4::from_diagonal(&Vector4::new(off_m2, off_m2, off_rad2, 0.0));

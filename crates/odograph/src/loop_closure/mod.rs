@@ -56,25 +56,11 @@ impl LoopClosureConfig {
     /// The same parameters if all are in range. Fails with the name and the value of one that is
     /// not.
     pub fn validated(self) -> Result<Self> {
-        for (name, share) in
-            [("least_overlap", self.least_overlap), ("least_inlier_ratio", self.least_inlier_ratio)]
-        {
-            if !(0.1..=1.0).contains(&share) {
-                return Err(Error::usage(format!("slam.{name} is {share}; it must lie between 0.1 and 1")));
-            }
-        }
-        for (name, number, range) in [
-            ("comparisons", self.comparisons, 1..=1000),
-            ("least_edges", self.least_edges, 2..=1000),
-            ("sightings", self.sightings, 1..=2),
-        ] {
-            if !range.contains(&number) {
-                let (least, most) = range.into_inner();
-                return Err(Error::usage(format!(
-                    "slam.{name} is {number}; it must lie between {least} and {most}"
-                )));
-            }
-        }
+        Error::check_range("slam.least_overlap", self.least_overlap, 0.1..=1.0)?;
+        Error::check_range("slam.least_inlier_ratio", self.least_inlier_ratio, 0.1..=1.0)?;
+        Error::check_range("slam.comparisons", self.comparisons, 1..=1000)?;
+        Error::check_range("slam.least_edges", self.least_edges, 2..=1000)?;
+        Error::check_range("slam.sightings", self.sightings, 1..=2)?;
         Ok(self)
     }
 }

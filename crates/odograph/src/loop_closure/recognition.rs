@@ -1,7 +1,7 @@
 //! Loop closure candidates by appearance, where the predicted position is uncertain.
 
 use super::candidates::{Prior, Strength};
-use super::gate::{CONTRADICTION_GATE, GATE, normalised_innovation_squared};
+use super::gate::{CONTRADICTION_GATE, GATE};
 use crate::geometry::wrap_angle;
 use crate::keyframe::relative_pose::{compose, inverse};
 use crate::keyframe::{KeyframeId, MapEdge};
@@ -38,10 +38,7 @@ impl Recognised {
     /// prediction, and across a gap: the camera may have been moved anywhere meanwhile.
     pub fn innovation(&self, motion: &Vector4<f64>, covariance: &Matrix4<f64>) -> f64 {
         let prior = self.prior.as_ref().filter(|prior| !prior.reached.across_gap);
-        prior.map_or(0.0, |prior| {
-            let covariance = prior.reached.covariance + covariance;
-            normalised_innovation_squared(motion, &covariance, &prior.reached.motion)
-        })
+        prior.map_or(0.0, |prior| prior.innovation(motion, covariance))
     }
 }
 
@@ -62,13 +59,12 @@ const RIVAL_SCORE: f64 = 0.6;
 
 /// The places that a new keyframe may show, best first: similar in appearance, not just behind it,
 /// and consistent with the graph. None if different places look alike and the graph does not
-/// decide. Keyframes of which `compared` is false are left out. `reach` starts at the new keyframe;
-/// `None` if nothing connects it.
+/// decide. Keyframes of which `compared` is false are left out. `reach` starts at the new keyframe.
 pub fn recognise(
     places: &PlaceIndex,
     signature: &Signature,
     graph: &PoseGraph,
-    mut reach: Option<&mut Reach<'_>>,
+    reach: &mut Reach<'_>,
     new: (KeyframeId, &CameraPose),
     least_edges: usize,
     matcher: &Matcher,
@@ -78,7 +74,7 @@ pub fn recognise(
     let view_m = matcher.view_m(new.1);
     let mut found: Vec<(Recognised, &PlaceHypothesis)> = Vec::new();
     for hypothesis in &hypotheses {
-        let there = reach.as_mut().and_then(|reach| reach.to(hypothesis.keyframe));
+        let there = reach.to(hypothesis.keyframe);
         if hypothesis.keyframe == new.0 || there.as_ref().is_some_and(|one| one.edges < least_edges) {
             continue;
         }
@@ -103,7 +99,7 @@ pub fn recognise(
     let rival = found.iter().skip(1).filter(|other| !other.0.stands_alone()).any(|other| {
         other.1.score >= RIVAL_SCORE * score
             && place(other).is_some_and(|there| {
-                (here.x_m - there.x_m).hypot(here.y_m - there.y_m) > 0.25 * view_m
+                here.distance_m(&there) > 0.25 * view_m
                     || wrap_angle(here.heading_rad - there.heading_rad).abs() > 0.3
             })
     });

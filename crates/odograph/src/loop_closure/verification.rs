@@ -14,7 +14,7 @@ use crate::geometry::{Sim2, WithCovariance, wrap_angle};
 use crate::keyframe::relative_pose::position_sigma_m;
 use crate::keyframe::{EdgeKind, KeyframeId, MapEdge};
 use crate::loop_closure::matching::{LoopSighting, Matcher, QueryKeyframe, ReferenceKeyframe};
-use nalgebra::Vector4;
+use nalgebra::{Matrix4, Vector4};
 
 /// A loop closure.
 #[derive(Debug, Clone, PartialEq)]
@@ -58,7 +58,7 @@ pub fn verify(
     } else {
         only_one(matcher, query, reference, prior, config)?
     };
-    if misses(&sighting, prior) > GATE {
+    if prior.innovation(&sighting.motion, &sighting.covariance) > GATE {
         return None;
     }
     Some(closure(new, candidate.id, &sighting, sighting.motion - expected))
@@ -66,15 +66,6 @@ pub fn verify(
 
 fn is_clear(found: &LoopSighting, config: &LoopClosureConfig) -> bool {
     found.inliers >= MIN_INLIERS && found.inlier_ratio >= config.least_inlier_ratio
-}
-
-/// Normalised innovation squared of a match.
-fn misses(sighting: &LoopSighting, prior: &Prior) -> f64 {
-    normalised_innovation_squared(
-        &sighting.motion,
-        &(prior.reached.covariance + sighting.covariance),
-        &prior.reached.motion,
-    )
 }
 
 /// The unique match that registering the whole images leads to; `None` if there is none or it is
@@ -92,9 +83,7 @@ fn only_one(
     let best_score = guesses.first()?.score;
     let mut found: Option<LoopSighting> = None;
     for guess in guesses.iter().filter(|guess| guess.score >= RIVAL_SCORE * best_score) {
-        if normalised_innovation_squared(&guess.motion, &reached.covariance, &reached.motion)
-            > CONTRADICTION_GATE
-        {
+        if prior.innovation(&guess.motion, &Matrix4::zeros()) > CONTRADICTION_GATE {
             continue;
         }
         let Some(sighting) = matcher.find(query, reference, &guess.motion, GUESS_OFF_PX) else { continue };

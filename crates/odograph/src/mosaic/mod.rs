@@ -137,7 +137,7 @@ pub struct Mosaic {
     footprint: Option<Footprint>,
     corners: Vec<Option<BlockCorner>>,
     samples: FrameSamples,
-    /// What of the images is not ground.
+    /// Mask of pixels that do not show ground.
     mask: Option<Arc<ImageMask>>,
 }
 

@@ -155,7 +155,7 @@ fn rays_about(camera: &Camera, pixel: Pixel, radius_px: f64) -> Option<(Ray, [Ra
     let ray = camera.ray_from_pixel(pixel)?;
     let (_, pixel_by_ray) = camera.pixel_and_derivative(ray)?;
     let ray_by_pixel = pixel_by_ray.try_inverse()?;
-    let nuisance = |(right, down): (f64, f64)| {
+    let ray_at = |(right, down): (f64, f64)| {
         let offset = radius_px * Vector2::new(right, down);
         let initial = ray_by_pixel * offset;
         let initial = Ray::new(ray.x + initial.x, ray.y + initial.y);
@@ -163,7 +163,7 @@ fn rays_about(camera: &Camera, pixel: Pixel, radius_px: f64) -> Option<(Ray, [Ra
         let remaining = ray_by_pixel * Vector2::new(pixel.x + offset.x - seen.x, pixel.y + offset.y - seen.y);
         Some(Ray::new(initial.x + remaining.x, initial.y + remaining.y))
     };
-    let [a, b, c, d, e] = RING_DIRECTIONS.map(nuisance);
+    let [a, b, c, d, e] = RING_DIRECTIONS.map(ray_at);
     Some((ray, [a?, b?, c?, d?, e?]))
 }
 

@@ -44,6 +44,7 @@ pub use rolling_shutter::{ExpectedRates, PoseRates, Readout, RollingShutter, Shu
 use crate::buffer::{Buffer, stored};
 use crate::camera::Camera;
 use crate::geometry::{GroundPoint, GroundPose, Pixel};
+use crate::numerics::median;
 use nalgebra::{Matrix2, Matrix3, Matrix6, Matrix6x2, Vector3};
 use serde::{Deserialize, Serialize};
 
@@ -156,8 +157,8 @@ stored!(Observation);
 pub struct Observations<'a> {
     /// The correspondences.
     pub seen: &'a [Observation],
-    /// Standard deviation of the median track by the noise of the images, pixels; infinite where
-    /// all scatter is taken for noise.
+    /// Standard deviation of the median track by the noise of the images, pixels; infinite if
+    /// all scatter is treated as noise.
     pub noise_px: f64,
     /// Pose of the keyframe, which defines the ground points.
     pub keyframe_pose: &'a GroundPose,
@@ -199,11 +200,7 @@ pub fn whitened(correspondences: &[Correspondence], shared_px2: f64) -> Option<(
     let covariance = |seen: &Correspondence| seen.covariance_px2 + shared_px2 * Matrix2::identity();
     let mut variances: Buffer<f64> =
         correspondences.iter().map(|seen| 0.5 * covariance(seen).trace()).collect();
-    if variances.is_empty() {
-        return None;
-    }
-    let middle = variances.len() / 2;
-    let median_px2 = *variances.select_nth_unstable_by(middle, f64::total_cmp).1;
+    let median_px2 = median(&mut variances)?;
     let observation = |seen: &Correspondence| Observation {
         ground: seen.ground,
         elevation: seen.elevation,

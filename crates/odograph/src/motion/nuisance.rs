@@ -246,15 +246,12 @@ impl<'a> Nuisance<'a> {
         // A skew that is not part of the fit is estimated by one Gauss–Newton step from its end.
         let (inverse, step) = (factor.inverse(), factor.solve(equations.slope()));
         let (noise_px2, sigma) = (scale_px * scale_px, &self.skew_sigma);
-        let expected = prior.readout.mean_s * assumed;
-        let (mut skew, mut skew_variance) = (expected, PoseRates::zeros());
-        let (mut evidence, mut evidence_variance) = (expected, PoseRates::repeat(f64::INFINITY));
+        let mut evidence = prior.readout.mean_s * assumed;
+        let mut evidence_variance = PoseRates::repeat(f64::INFINITY);
         for i in 0..6 {
             let at = WITH_KEYFRAME + i;
             let difference = sigma[i] * (self.values[at - POSE] - step[at]);
             let posterior = 1.0 / inverse[at][at];
-            skew[i] += difference;
-            skew_variance[i] = sigma[i] * sigma[i] * noise_px2 / posterior;
             // Below a thousandth of the posterior information the difference is rounding error.
             let likelihood = posterior - noise_px2;
             if likelihood > 1e-3 * posterior {
@@ -281,8 +278,6 @@ impl<'a> Nuisance<'a> {
         }
         Some(ShutterEstimate {
             expected_rates: assumed,
-            skew,
-            skew_variance,
             evidence,
             evidence_variance,
             pose_by_expected_skew,

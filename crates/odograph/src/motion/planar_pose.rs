@@ -16,6 +16,7 @@ use super::{
 use crate::buffer::Buffer;
 use crate::camera::Camera;
 use crate::geometry::{GroundPose, wrap_angle};
+use crate::numerics::{Loss, RAYLEIGH_MEDIAN, TUKEY_95, median, robust_variance};
 
 /// The pose after a Gauss–Newton step. `None` where the camera would not face the ground.
 fn moved(pose: &GroundPose, step: &Row) -> Option<GroundPose> {
@@ -131,11 +132,12 @@ pub fn refine(
         let rig_prior = WeightedRigPrior::new(&prior, scale_px);
         let noise_px = if iteration == 0 { INITIAL_NOISE * config.inlier_px } else { scale_px };
         scale_px = linearize(&pose, &nuisance, noise_px, &mut residuals, &mut errors);
-        cutoff_px = (4.685 * scale_px).min(config.inlier_px.max(2.0 * scale_px));
+        cutoff_px = (TUKEY_95 * scale_px).min(config.inlier_px.max(2.0 * scale_px));
         let per_cutoff = 1.0 / cutoff_px;
-        weights.iter_mut().zip(&errors).for_each(|(weight, &error)| *weight = biweight(error * per_cutoff));
-        let moved = (pose.x_m - before.x_m).hypot(pose.y_m - before.y_m) / pose.height_m
-            + (pose.heading_rad - before.heading_rad).abs();
+        weights.iter_mut().zip(&errors).for_each(|(weight, &error)| {
+            *weight = Loss::Tukey(1.0).weight_of_square((error * per_cutoff).powi(2));
+        });
+        let moved = pose.distance_m(&before) / pose.height_m + (pose.heading_rad - before.heading_rad).abs();
         if iteration >= 2 && config.model == MotionModel::Auto {
             let mut tracks_alone = tracks;
             nuisance.add_priors(&mut tracks_alone, scale_px);
@@ -282,17 +284,12 @@ fn elevations(
     // Across the parallax the residual is noise, whatever the elevation.
     let mut across_px2: Buffer<f64> =
         residuals.iter().map(|residual| residual.parallax.across_squared()).collect();
-    let middle = across_px2.len() / 2;
-    let median = across_px2.select_nth_unstable_by(middle, f64::total_cmp).1;
-    let noise_px2 = (*median / CHI_SQUARED_MEDIAN).max(MIN_SCALE_PX * MIN_SCALE_PX);
+    let noise_px2 = robust_variance::<1>(&mut across_px2).unwrap_or(0.0).max(MIN_SCALE_PX * MIN_SCALE_PX);
     let measured = |(observation, residual): (Observation, &Residual)| {
         residual.parallax.measured(observation.elevation, noise_px2, super::MAX_KERB_HEIGHT * height_m)
     };
     observations.zip(residuals).map(measured).collect()
 }
-
-/// Median of the χ² distribution with one degree of freedom.
-const CHI_SQUARED_MEDIAN: f64 = 0.455;
 
 /// A prior is too tight where the residual without it is below this fraction of that with it. Not
 /// derived; chosen: a wrong lens or shutter leaves more.
@@ -314,19 +311,10 @@ const MAX_ITERATIONS: usize = 12;
 const MIN_SCALE_PX: f64 = 0.01;
 
 /// Robust standard deviation of one coordinate from the median length of the residuals within twice
-/// the inlier distance (Rayleigh distribution: median = 1.1774 σ).
+/// the inlier distance.
 fn robust_scale(errors: &[f64], inlier_px: f64, within: &mut Vec<f64>) -> f64 {
     within.clear();
     within.extend(errors.iter().copied().filter(|&e| e < 2.0 * inlier_px));
-    if within.is_empty() {
-        return inlier_px;
-    }
-    let middle = within.len() / 2;
-    let (_, median, _) = within.select_nth_unstable_by(middle, f64::total_cmp);
-    (*median / 1.1774).clamp(MIN_SCALE_PX, inlier_px)
-}
-
-/// Weight of Tukey's biweight for a residual over its cutoff.
-fn biweight(ratio: f64) -> f64 {
-    if ratio < 1.0 { (1.0 - ratio * ratio).powi(2) } else { 0.0 }
+    let sigma_px = median(within).map(|median_px| median_px / RAYLEIGH_MEDIAN);
+    sigma_px.map_or(inlier_px, |sigma_px| sigma_px.clamp(MIN_SCALE_PX, inlier_px))
 }

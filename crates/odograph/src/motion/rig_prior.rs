@@ -227,7 +227,7 @@ impl MountTilt {
         self.keyframes += 1;
     }
 
-    /// Mean squared error of the tilt that is taken for it.
+    /// Mean squared error of the applied tilt correction.
     fn squared_error(&self, short_term_variance: f64) -> f64 {
         (self.mean - self.correction(short_term_variance)).powi(2) + self.variance
     }

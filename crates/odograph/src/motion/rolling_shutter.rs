@@ -155,10 +155,6 @@ impl ShutterPrior {
 pub struct ShutterEstimate {
     /// Predicted rates of the pose.
     pub expected_rates: PoseRates,
-    /// Skew, with the prior.
-    pub skew: PoseRates,
-    /// Its variances.
-    pub skew_variance: PoseRates,
     /// Skew from the tracks alone.
     pub evidence: PoseRates,
     /// Its variances; infinite where the tracks contain no information.

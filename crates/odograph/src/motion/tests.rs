@@ -353,7 +353,11 @@ fn sloping_ground_does_not_pass_for_a_skew() {
         estimate(&camera(), observations, &to, &rig, &config, &mut Random::new(1)).unwrap()
     };
     let (shaped, independent) = (measure(Some(&unknown)), measure(None));
-    let skew_mm = |found: &MotionEstimate| 1e3 * found.shutter.as_ref().unwrap().skew[0].abs();
+    let skew_mm = |found: &MotionEstimate| {
+        let found = found.shutter.as_ref().unwrap();
+        let prior_variance = prior.skew_sigma(&PoseRates::zeros())[0].powi(2);
+        1e3 * (found.evidence[0] * prior_variance / (prior_variance + found.evidence_variance[0])).abs()
+    };
     let (with, without) = (skew_mm(&shaped), skew_mm(&independent));
     assert!(with < 0.1 * without && with < 0.05, "{with} {without} mm");
     let ShapeEstimate { coefficients: found, shape } = shaped.shape.unwrap();

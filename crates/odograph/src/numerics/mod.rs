@@ -5,6 +5,8 @@ mod combination;
 
 pub use combination::{Combined, Part, combine, inverse};
 
+use nalgebra::Vector2;
+
 /// The median, or `None` of no values. Of an even count it is the **greater of the middle two**, so
 /// it is always one of the values; [`f64::total_cmp`] orders them. The order of `values` is lost.
 pub fn median(values: &mut [f64]) -> Option<f64> {
@@ -15,11 +17,21 @@ pub fn median(values: &mut [f64]) -> Option<f64> {
 /// The median of |x| of normal x, in standard deviations.
 pub const NORMAL_MEDIAN: f64 = 0.6745;
 
+/// The median length of normal vectors of the plane (Rayleigh distribution), in standard deviations
+/// of a coordinate.
+pub const RAYLEIGH_MEDIAN: f64 = 1.1774;
+
+/// Limit of [`Loss::Tukey`] with an efficiency of 95 % on normal residuals.
+pub const TUKEY_95: f64 = 4.685;
+
+/// Standard deviation over the median absolute deviation (MAD), for the normal distribution.
+pub const DEVIATION_OF_MEDIAN: f64 = 1.4826;
+
 /// The standard deviation of zero-mean normal values from their median magnitude (MAD); 0 of no
 /// values.
 pub fn normal_sigma(values: &[f64]) -> f64 {
     let mut magnitudes: Vec<f64> = values.iter().map(|value| value.abs()).collect();
-    1.4826 * median(&mut magnitudes).unwrap_or(0.0)
+    DEVIATION_OF_MEDIAN * median(&mut magnitudes).unwrap_or(0.0)
 }
 
 /// The variance of each of `N` normal numbers (1 to 3) by the median of the sums of their squares,
@@ -28,6 +40,16 @@ pub fn robust_variance<const N: usize>(squares: &mut [f64]) -> Option<f64> {
     const { assert!(N >= 1 && N <= 3) };
     let of_chi_square = [0.455, 2.0 * std::f64::consts::LN_2, 2.37][N - 1];
     Some(median(squares)? / of_chi_square)
+}
+
+/// How many times more uncertain the mean of these residuals is than one of independent residuals,
+/// as variance: (1 + ρ) / (1 − ρ) of a first-order autoregressive process with the correlation ρ of
+/// neighbours.
+pub fn variance_of_mean_factor(residuals: &[Vector2<f64>]) -> f64 {
+    let both: f64 = residuals.windows(2).map(|two| two[0].dot(&two[1])).sum();
+    let all: f64 = residuals.iter().map(Vector2::norm_squared).sum();
+    let correlation = if all > 0.0 { (both / all).clamp(0.0, 0.98) } else { 0.0 };
+    (1.0 + correlation) / (1.0 - correlation)
 }
 
 /// A robust loss of residuals in standard deviations, with the number of them up to which a
@@ -40,8 +62,7 @@ pub enum Loss {
     Logarithmic(f64),
     /// Cauchy's: as [`Loss::Logarithmic`], without the bend between the two.
     Cauchy(f64),
-    /// Tukey's biweight: zero weight beyond the limit; 4.685 has an efficiency of 95 % on normal
-    /// residuals.
+    /// Tukey's biweight: zero weight beyond the limit ([`TUKEY_95`]).
     Tukey(f64),
 }
 

@@ -42,7 +42,7 @@ impl Odometry {
     pub(super) fn is_ambiguous(&self, measurement: &Measurement, time_s: f64) -> bool {
         let found = &measurement.estimate.pose;
         let expected = self.expected(time_s).unwrap_or(measurement.prediction);
-        let off_m = (found.x_m - expected.x_m).hypot(found.y_m - expected.y_m);
+        let off_m = found.distance_m(&expected);
         let off_px = off_m * self.camera.focal_px().0 / found.height_m;
         let is_expected = off_px < EXPECTED_PX
             && measurement.false_alarms(self.config.motion.inlier_px) < MOST_FALSE_ALARMS;
@@ -52,7 +52,7 @@ impl Odometry {
                 false if is_expected => EXPECTED_INLIER_RATIO,
                 false => AMBIGUOUS_INLIER_RATIO,
             };
-        // The support counts corners out of view too: the inlier_ratio is never below it.
+        // The support also counts corners out of view, so it never exceeds the inlier ratio.
         measurement.support < wanted
             && self
                 .keyframe

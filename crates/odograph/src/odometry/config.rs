@@ -32,7 +32,7 @@ pub struct KeyframeConfig {
     /// An older keyframe is reused, instead of making a new one, if at least this fraction of its
     /// corners is in view.
     pub revisit: f64,
-    /// So many older keyframes are remembered.
+    /// Number of older keyframes kept.
     pub remembered: usize,
 }
 

@@ -21,8 +21,7 @@ const FIRST_RATE: f64 = 1.0;
 /// what was stated (NEES 11 instead of 2).
 const STEP_NOISE: f64 = 0.02;
 
-/// What a keyframe's corners may be off by, pixels, before they are projected onto the ground
-/// again.
+/// Shift of a keyframe's corners above which they are projected onto the ground again, pixels.
 const NEGLIGIBLE_PX: f64 = 0.003;
 
 impl Odometry {
@@ -76,7 +75,7 @@ impl Odometry {
         let (Some(seen), Some(prior)) = (&estimate.shutter, self.learned.frame_shutter) else { return };
         let readout_s = prior.readout.mean_s;
         if self.keyframes == 1 && self.motion.is_empty() {
-            match self.frames - self.serves_since {
+            match self.frames - self.reference_since {
                 1 => self.expose_by_first_step(seen.expected_rates),
                 2 => self.expose_by_first_steps(),
                 _ => {}
@@ -113,8 +112,8 @@ impl Odometry {
         self.motion.at(self.last.as_ref()?.time_s)
     }
 
-    /// The first keyframe moved as the camera did until the first frame after it, give or take as
-    /// much.
+    /// Sets the first keyframe's rates to those of the first step, with a standard deviation of the
+    /// same size.
     fn expose_by_first_step(&mut self, rates: PoseRates) {
         let Some(keyframe) = &mut self.keyframe else { return };
         keyframe.rates_on_slope = Some((rates, keyframe.rate_variance));

@@ -54,7 +54,8 @@ pub struct NewKeyframe {
 pub struct FrameReference {
     /// The keyframe it was measured against; itself where it is the first of all.
     pub keyframe: KeyframeId,
-    /// Where another keyframe serves from here on: which, and this frame's pose as that one has it.
+    /// If the reference changes with this frame: the new one, and this frame's pose measured
+    /// against it.
     pub next: Option<(KeyframeId, GroundPose)>,
 }
 

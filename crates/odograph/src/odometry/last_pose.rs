@@ -45,10 +45,10 @@ const JUMP: f64 = 0.03;
 const JUMP_OVER_USUAL: f64 = 5.0;
 
 /// A longer step than this many of the last is a gap.
-const USUAL_STEP: f64 = 1.5;
+pub const USUAL_STEP: f64 = 1.5;
 
-/// A surprise counts so much less a frame later.
-const REMEMBERED: f64 = 0.7;
+/// Decay per frame of the largest error of the extrapolation.
+const ERROR_DECAY: f64 = 0.7;
 
 impl LastPose {
     pub fn still(time_s: f64, pose: GroundPose, covariance: Matrix6<f64>) -> Self {
@@ -84,7 +84,7 @@ impl LastPose {
                 // The distance of a relocation is no error of the motion model.
                 before if jumps => before,
                 // After `still` the rates are a guess, and a step later the accelerations.
-                before if before.is_finite() => off_by.max(REMEMBERED * before),
+                before if before.is_finite() => off_by.max(ERROR_DECAY * before),
                 _ if MODELS[model] != MotionPrediction::Level && self.step_s == 0.0 => f64::INFINITY,
                 _ => off_by,
             }

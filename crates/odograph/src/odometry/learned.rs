@@ -1,4 +1,4 @@
-//! What the frames so far taught about those to come.
+//! Statistics of earlier frames that predict the next one.
 
 use super::found_corner::FoundCorner;
 use super::keyframe::Keyframe;
@@ -37,7 +37,7 @@ pub struct Learned {
     pub frame_shutter: Option<ShutterPrior>,
 }
 
-/// Weight of the newest frame in the usual inlier_ratio: about the last five count.
+/// Weight of the newest frame in the moving average of the inlier ratio: a memory of five frames.
 const INLIER_RATIO_RATE: f64 = 0.2;
 
 /// Standard deviation of the elevations of rough ground, at least, a part of the height. A wide one

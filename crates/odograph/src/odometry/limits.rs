@@ -1,4 +1,4 @@
-//! What the parameters of the pipeline may be. They come from files that people change.
+//! Valid ranges of the parameters, which users edit in files.
 
 use super::OdometryConfig;
 use crate::error::{Error, Result};
@@ -37,13 +37,8 @@ impl OdometryConfig {
     }
 }
 
-/// Not a number lies in no range.
 fn check<T: PartialOrd + Display>(name: &str, value: T, range: RangeInclusive<T>) -> Result<()> {
-    if range.contains(&value) {
-        return Ok(());
-    }
-    let (least, most) = range.into_inner();
-    Err(Error::usage(format!("odometry.{name} is {value}; it must lie between {least} and {most}")))
+    Error::check_range(&format!("odometry.{name}"), value, range)
 }
 
 #[cfg(test)]

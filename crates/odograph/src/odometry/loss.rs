@@ -144,7 +144,7 @@ impl Odometry {
         self.accept(pyramid, time_s, measurement)
     }
 
-    /// How the first keyframe after a gap lies to the last one before.
+    /// Relative pose of the first keyframe after a gap and the last one before it.
     pub(super) fn across_the_gap(&self, last: &LastPose, next: &Keyframe) -> Option<Before> {
         let before = self.keyframe.as_ref()?;
         // The gap made the position less certain; height and tilt were measured anew and may be

@@ -96,14 +96,14 @@ pub struct Odometry {
     /// A start of a new segment that has not proved itself yet.
     candidate: Option<SegmentCandidate>,
     recovery: Recovery,
-    /// What of the image does not move with the ground.
+    /// Pixels that do not move with the ground.
     fixed: FixedPattern,
     standing: Standing,
     pattern_noise: PatternNoise,
     restoration: Restoration,
     /// The motion within the images, as far as an earlier pass has measured it.
     motion: Arc<MeasuredMotion>,
-    /// So many frames before this one were lost.
+    /// Number of consecutive lost frames before this one.
     lost_frames: usize,
     /// Whether the rates of the present frame were predicted by poses on a plane that the ground
     /// has turned out not to be.
@@ -123,7 +123,7 @@ pub struct Odometry {
     /// Change of the last pose by roll and pitch of the mount.
     by_mount_tilt: Matrix6x2<f64>,
     /// The frame from which the present keyframe is the reference.
-    serves_since: u64,
+    reference_since: u64,
     segment: usize,
     tracks: Vec<TrackView>,
     /// The pyramid of an earlier frame, whose memory the next one takes over.
@@ -181,7 +181,7 @@ impl Odometry {
             keyframe_off: PoseRates::zeros(),
             own_by_readout: PoseRates::zeros(),
             by_mount_tilt: Matrix6x2::zeros(),
-            serves_since: 0,
+            reference_since: 0,
             segment: 0,
             tracks: Vec::new(),
             spare: None,
@@ -239,7 +239,7 @@ impl Odometry {
         self.pattern_noise.correction()
     }
 
-    /// What of the image does not move with the ground, as far as it is known.
+    /// Pixels that do not move with the ground, as far as it is known.
     pub fn fixed_in_image(&self) -> &FixedPattern {
         &self.fixed
     }
@@ -570,19 +570,12 @@ impl Odometry {
         PoseEstimate { pose, velocity: filtered.velocity, covariance: estimate.covariance, measured: plane }
     }
 
-    /// Propagates the keyframe's covariance to a pose measured against it: its ground is shifted,
-    /// turned and scaled with its height.
+    /// Propagates the keyframe's covariance to a pose measured against it.
     fn propagated_covariance(&self, pose: &GroundPose) -> Matrix6<f64> {
-        let Some(keyframe) = &self.keyframe else {
-            return Matrix6::zeros();
-        };
-        let (dx, dy) = (pose.x_m - keyframe.pose.x_m, pose.y_m - keyframe.pose.y_m);
-        let mut jacobian = Matrix6::identity();
-        jacobian[(0, 2)] = -dy;
-        jacobian[(1, 2)] = dx;
-        jacobian[(0, 3)] = dx / keyframe.pose.height_m;
-        jacobian[(1, 3)] = dy / keyframe.pose.height_m;
-        propagated(&jacobian, &keyframe.covariance)
+        let keyframe = self.keyframe.as_ref();
+        keyframe.map_or_else(Matrix6::zeros, |keyframe| {
+            propagated(&keyframe.pose.lever_arm_to(pose), &keyframe.covariance)
+        })
     }
 
     /// For the mean vector, measured from frame to frame: only the corners just seen are kept, and

@@ -3,7 +3,7 @@
 
 use super::Odometry;
 use super::keyframe::Keyframe;
-use super::last_pose::{LastPose, seen_apart};
+use super::last_pose::{LastPose, USUAL_STEP, seen_apart};
 use super::tracking::{Measurement, Tracker};
 use crate::geometry::GroundPose;
 use crate::image::Pyramid;
@@ -35,7 +35,7 @@ impl Odometry {
         Some(match self.config.motion.model {
             // The mean vector is measured from the last frame.
             MotionModel::Mean => last.pose,
-            _ => self.beside_keyframe(&last.extrapolated(time_s)),
+            _ => self.uncorrected(&last.extrapolated(time_s)),
         })
     }
 
@@ -51,7 +51,7 @@ impl Odometry {
             return Err(LossReason::Bare);
         };
         let tracker = self.tracker(keyframe, pyramid);
-        let predictions = [&extrapolated, &self.beside_keyframe(&last.pose)];
+        let predictions = [&extrapolated, &self.uncorrected(&last.pose)];
         // What others will be built on is searched in full, unless that could not find more.
         let found_enough = |near: &Measurement| {
             near.refined || near.support >= self.enough_support() || self.nearly_all_agree(keyframe, near)
@@ -114,7 +114,7 @@ impl Odometry {
         let elsewhere = last
             .predictions(time_s)
             .iter()
-            .map(|prediction| self.beside_keyframe(prediction))
+            .map(|prediction| self.uncorrected(prediction))
             .filter(is_elsewhere)
             .filter_map(|prediction| self.measure_within(tracker, &prediction, NEAR_PX).ok())
             .filter(|near| is_elsewhere(&near.estimate.pose))
@@ -135,16 +135,16 @@ impl Odometry {
         found.inlier_ratio(keyframe, &self.camera) >= NEARLY_ALL * self.learned.usual_inlier_ratio()
     }
 
-    /// The pose as the keyframe would have it at the height and tilt that it was taken for: where
-    /// to look for what it shows.
-    fn beside_keyframe(&self, pose: &GroundPose) -> GroundPose {
+    /// The pose without the estimated error of the keyframe's height and tilt: where its corners
+    /// appear.
+    fn uncorrected(&self, pose: &GroundPose) -> GroundPose {
         GroundPose::from_vector(&(pose.to_vector() - self.keyframe_off))
     }
 
     /// Expected error of the extrapolated pose in the image; `None` if unknown or so large that the
     /// search covers everything anyway.
     fn prediction_off_px(&self, last: &LastPose, time_s: f64) -> Option<f64> {
-        let usual_step = time_s - last.time_s <= 1.5 * last.step_s;
+        let usual_step = time_s - last.time_s <= USUAL_STEP * last.step_s;
         let off_px = 0.5 + 2.0 * last.off_by() * self.camera.focal_px().0;
         (self.config.motion.model != MotionModel::Mean && usual_step && off_px < FULL_SEARCH_PX)
             .then_some(off_px)

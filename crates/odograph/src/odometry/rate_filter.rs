@@ -22,7 +22,7 @@ pub struct RateFilter {
 const JERKS: [f64; 7] = [1e-3, 1e-2, 1e-1, 1e0, 1e2, 1e4, 1e6];
 
 /// Factors on the variance that a fit states: errors of successive poses against one keyframe are
-/// correlated, and white noise that slows a filter down as much is stronger.
+/// correlated, and the white noise that slows a filter down equally is larger.
 const NOISES: [f64; 3] = [1.0, 30.0, 900.0];
 
 /// Frequencies of a vibration, hertz, and spectral densities of the white noise that drives it,
@@ -53,8 +53,8 @@ const FIRST_ALONG: [f64; 2] = [1.0, 1.0];
 const FIRST_ACROSS: [f64; 2] = [0.01, 0.1];
 const FIRST_VIBRATION: [f64; 2] = [1e-3, 0.1];
 
-/// A frame counts so much less a frame later, in the likelihood of a model.
-const REMEMBERED: f64 = 0.95;
+/// Forgetting factor of a model's log-likelihood, per frame.
+const FORGETTING_FACTOR: f64 = 0.95;
 
 /// No model is taken to be less likely than the best one by more than this, nats: a camera may
 /// begin to shake at any time. At 16 the stated deviations of steady drives are a third, but poses
@@ -160,7 +160,7 @@ impl StepModel {
         let (same, cross) = (fall * cos, fall * sin / damped);
         let [a, b] = [same + decay * cross, cross];
         let [c, d] = [-natural * natural * cross, same - decay * cross];
-        // What is driven in a step is what the stationary oscillation has lost in it.
+        // Process noise of a step: the stationary covariance minus its propagation.
         let rate = shake / (4.0 * decay);
         let position = rate / (natural * natural);
         let lost = [
@@ -293,7 +293,7 @@ impl MotionFilter {
         self.mean += gain * innovation;
         self.covariance -= gain * by_position.transpose();
         let nats = -0.5 * (innovation * innovation / expected + expected.ln());
-        self.log_likelihood = REMEMBERED * self.log_likelihood + nats;
+        self.log_likelihood = FORGETTING_FACTOR * self.log_likelihood + nats;
     }
 
     /// Rate and acceleration given the position.

@@ -55,7 +55,7 @@ pub struct RecoveredFrame {
     pub remembered: Option<usize>,
 }
 
-/// What a frame is, and what is known about where it may be.
+/// A lost frame with its expected pose.
 pub struct Lost<'a> {
     /// The frame, to be measured against the present keyframe.
     pub tracker: Tracker<'a>,
@@ -270,7 +270,7 @@ fn decide(mut confirmed: Vec<RecoveredFrame>, expected: &GroundPose) -> Option<R
 /// How far two poses are apart: over the ground, and at the edge of the image through the heading.
 fn distance_m(a: &GroundPose, b: &GroundPose) -> f64 {
     let turn = wrap_angle(a.heading_rad - b.heading_rad);
-    (a.x_m - b.x_m).hypot(a.y_m - b.y_m) + 0.5 * a.height_m * turn.abs()
+    a.distance_m(b) + 0.5 * a.height_m * turn.abs()
 }
 
 #[cfg(test)]

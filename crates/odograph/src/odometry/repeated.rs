@@ -3,8 +3,8 @@
 //!
 //! A copy shows where the camera was, not where it is. Its pose is extrapolated, as uncertain as
 //! the last extrapolations were wrong. After a few copies in a row either the camera stands,
-//! without image noise, or the video is frozen. Who stands has come to rest before; where the last
-//! motion goes on over a frozen video, the camera may have stopped or doubled its speed.
+//! without image noise, or the video is frozen. A camera that stands has slowed down before. Over a
+//! frozen video its speed may have changed by 100 % (two standard deviations).
 
 use super::last_pose::{LastPose, seen_apart};
 use super::{FrameReference, Odometry};

@@ -1,4 +1,5 @@
-//! What stands still in the image while the ground moves is no sign that the camera stands.
+//! Rejects poses of a standing camera that come from something fixed in the image, while the ground
+//! moves.
 
 use super::Odometry;
 use super::last_pose::seen_apart;

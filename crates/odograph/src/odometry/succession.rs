@@ -29,7 +29,7 @@ const LEISURE_FRAMES: u64 = 8;
 /// Result of measuring a frame against an older keyframe, with the image of the frame.
 enum Revisit {
     /// The older keyframe becomes the reference again.
-    Serves(Pyramid),
+    BecomesReference(Pyramid),
     /// Too little of the older keyframe is in view, but the measurement improves the frame's pose.
     Improves(Pyramid, Box<(GroundPose, FrameUncertainty)>),
     /// No older keyframe is in view, or the measurement does not agree with the present one.
@@ -70,7 +70,7 @@ impl Odometry {
     ) -> Option<Pyramid> {
         self.learned.rig_prior.change_keyframe();
         let (pyramid, improved) = match self.revisit(pyramid, estimate, uncertainty) {
-            Revisit::Serves(pyramid) => return Some(pyramid),
+            Revisit::BecomesReference(pyramid) => return Some(pyramid),
             Revisit::Improves(pyramid, improved) => (pyramid, Some(improved)),
             Revisit::No(pyramid) => (pyramid, None),
         };
@@ -91,7 +91,7 @@ impl Odometry {
             let covariance = before.relative_covariance(estimate, self.config.motion.model);
             Some(Before { id: before.id?, pose, frame: estimate.pose, covariance, kind })
         });
-        next.in_halves = self.frames - self.serves_since >= LEISURE_FRAMES;
+        next.in_halves = self.frames - self.reference_since >= LEISURE_FRAMES;
         next.model_covariance = model_covariance;
         next.by_readout = by_readout;
         next.moving = self.keyframe.as_ref().map(Keyframe::moving_ground).unwrap_or_default();
@@ -103,7 +103,7 @@ impl Odometry {
         }
         self.expose(&mut next, estimate);
         self.number(&mut next, (self.frames, time_s), before);
-        self.serve_from_here(next.id, pose);
+        self.set_reference(next.id, pose);
         self.replace_keyframe(next);
         None
     }
@@ -136,11 +136,11 @@ impl Odometry {
         let agrees = |m: &Measurement| {
             let found = &m.estimate.pose;
             m.inlier_ratio(&old, &self.camera) >= CHANCE_INLIER_RATIO * self.learned.usual_inlier_ratio()
-                && (found.x_m - pose.x_m).hypot(found.y_m - pose.y_m) < position_m
+                && found.distance_m(pose) < position_m
                 && (found.heading_rad - pose.heading_rad).abs() < heading_rad
         };
         let Some(measurement) = measured.ok().filter(agrees) else {
-            self.memory.put_back(old);
+            self.memory.remember(old);
             return Revisit::No(pyramid);
         };
         let by_old = &measurement.estimate;
@@ -149,15 +149,16 @@ impl Odometry {
             let covariance = old.relative_covariance(by_old, self.config.motion.model);
             self.record_revisit(&old, (pose, &by_present), (&by_old.pose, &covariance));
         }
-        let serves = overlap >= self.config.keyframe.revisit && measurement.support >= self.enough_support();
-        let result = if serves {
+        let becomes_reference =
+            overlap >= self.config.keyframe.revisit && measurement.support >= self.enough_support();
+        let result = if becomes_reference {
             let found = by_old.pose;
-            self.serve_from_here(old.id, found);
+            self.set_reference(old.id, found);
             self.replace_keyframe(old);
-            (found, Revisit::Serves(pyramid))
+            (found, Revisit::BecomesReference(pyramid))
         } else {
             let improved = self.improved_by_older(&old, by_old, (pose, uncertainty));
-            self.memory.put_back(old);
+            self.memory.remember(old);
             (improved.0, Revisit::Improves(pyramid, Box::new(improved)))
         };
         let (found, revisit) = result;
@@ -201,14 +202,14 @@ impl Odometry {
     /// Replaces the present keyframe, which is remembered.
     pub(super) fn replace_keyframe(&mut self, keyframe: Keyframe) {
         if let Some(before) = self.keyframe.replace(keyframe) {
-            self.memory.remember(before.retire());
+            self.memory.remember(before);
         }
     }
 
     /// Makes another keyframe the reference of the following frames; its own pose of the present
     /// frame is `pose`.
-    pub(super) fn serve_from_here(&mut self, keyframe: Option<KeyframeId>, pose: GroundPose) {
-        self.serves_since = self.frames;
+    pub(super) fn set_reference(&mut self, keyframe: Option<KeyframeId>, pose: GroundPose) {
+        self.reference_since = self.frames;
         self.keyframe_off = PoseRates::zeros();
         self.own_by_readout = PoseRates::zeros();
         if let (Some(reference), Some(keyframe)) = (&mut self.reference, keyframe) {

@@ -319,7 +319,7 @@ const NEAR_SILL: f64 = 0.9;
 const LEAST_RANGE_M: f64 = 0.5 * FIRST_LAG_M;
 
 impl StationaryCovariance {
-    /// That of these differences; `None` where these are too few.
+    /// Fits sill and range to the differences; `None` with too few of them.
     fn fitted(differences: &ElevationDifferences) -> Option<Self> {
         let sill_m2 = 0.5 * differences.all.mean_m2()?;
         let parts = differences.by_distance().map(|(distance_m, m2)| (distance_m, 0.5 * m2 / sill_m2));

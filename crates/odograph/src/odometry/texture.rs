@@ -5,7 +5,7 @@ use crate::fixed_pattern::ImageMask;
 use crate::image::{GrayImage, Pyramid};
 use std::sync::Arc;
 
-/// What can be made of an image's corners.
+/// How well the corners of an image can be tracked.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum TextureClass {
     /// They can be followed.

@@ -67,16 +67,11 @@ pub struct PlaceHypothesis {
     pub matches: usize,
     /// Number of features in the overlap, of the image with fewer of them.
     pub shared: usize,
-    /// Number of matches of the best other motion over the same keyframe: large on repetitive
-    /// ground.
-    pub rival_matches: usize,
     /// Sum of the matches' weights: each one over the number of similar features in its own image,
     /// so repetitive patterns weigh little.
     pub worth: f64,
     /// The same for the best other motion, scaled to an equal overlap.
     pub rival_worth: f64,
-    /// Root mean square distance between matched features, metres.
-    pub residual_m: f64,
     /// Score that orders hypotheses: the worth minus that of the best other motion, in standard
     /// deviations.
     pub score: f64,
@@ -186,10 +181,8 @@ impl PlaceIndex {
                     ln_scale_deviation: support.ln_scale_deviation.into(),
                     matches: support.matches,
                     shared: support.shared,
-                    rival_matches: rival.map_or(0, |rival| rival.matches),
                     worth,
                     rival_worth,
-                    residual_m: f64::from(support.residual) * self.spot_m,
                     score: (worth - rival_worth) / (worth + rival_worth).sqrt(),
                 }
             })

@@ -152,8 +152,6 @@ pub(super) struct Support {
     pub worth: f32,
     /// Number of features in the overlap, of the image with fewer of them.
     pub shared: usize,
-    /// Root mean square distance of matched features, spots.
-    pub residual: f32,
     /// Standard deviation of the logarithm of the scale; infinite where the scale is fixed at 1.
     pub ln_scale_deviation: f32,
 }
@@ -216,7 +214,6 @@ pub(super) fn support(query: &Features, keyframe: &Features, start: Placing) -> 
         matches: matches.len(),
         worth: matches.iter().map(|m| query.worth[m.query].min(keyframe.worth[m.keyframe])).sum(),
         shared: here.min(there).max(matches.len()),
-        residual: (squares / matches.len().max(1) as f32).sqrt(),
         ln_scale_deviation,
     })
 }

@@ -23,17 +23,6 @@ const MAX_TURN: f64 = 4.0;
 /// millimetre.
 const HELD_TURN_SIGMA: f64 = 1e-9;
 
-/// Result of an optimisation.
-#[derive(Debug, Clone, Copy, PartialEq)]
-pub struct Optimization {
-    /// Number of steps.
-    pub steps: usize,
-    /// Cost before and after, with the final loss, of the edges that could change.
-    pub cost: (f64, f64),
-    /// Whether it converged.
-    pub converged: bool,
-}
-
 /// Scales of the robust losses, in standard deviations.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub(super) struct LossScales {
@@ -54,33 +43,28 @@ pub(super) struct Descent {
 impl PoseGraph {
     /// Optimises all keyframes in at most `steps` steps. The first keyframe of every connected
     /// component is fixed.
-    pub fn optimize(&mut self, steps: usize) -> Optimization {
-        let mut outcome = Optimization { steps: 0, cost: (0.0, 0.0), converged: true };
-        let Some(mut descent) = self.descent(Pieces::single(self), true) else { return outcome };
+    pub fn optimize(&mut self, steps: usize) {
+        let Some(mut descent) = self.descent(Pieces::single(self), true) else { return };
         let mut scales = self.loss_scales();
-        outcome.cost.0 = self.cost(&descent, scales);
+        let mut left = steps;
         // The second round has the loss scale that fits the residuals of the first, if there are
         // steps left; the third frees the mount's rotation.
         for round in 0..3 {
-            let left = steps - outcome.steps;
-            let (taken, after, converged) = self.descend(&mut descent, scales, left);
-            outcome.steps += taken;
-            (outcome.cost.1, outcome.converged) = (after, converged);
-            let last = round == 2 || outcome.steps >= steps;
-            if (round > 0 || last) && !self.mount_turns {
-                self.mount_turns = self.is_worth_asking() && self.shows_turn(&mut descent, scales);
-                if last || !self.mount_turns {
+            left -= self.descend(&mut descent, scales, left);
+            let last = round == 2 || left == 0;
+            if round > 0 || last {
+                let is_asked = !self.mount_turns && self.is_worth_asking();
+                let is_freed = is_asked && self.shows_turn(&mut descent, scales);
+                self.mount_turns |= is_freed;
+                if last || !is_freed {
                     break;
                 }
-            } else if round > 0 || last {
-                break;
             }
             scales = self.loss_scales();
         }
         if !self.mount_turns {
             self.turn_per_m = Vector2::zeros(); // but for rounding it is
         }
-        outcome
     }
 
     /// Approximately optimises in a time that hardly grows with the graph: first the whole of it as
@@ -133,13 +117,8 @@ impl PoseGraph {
         held.zip(free).is_some_and(significant)
     }
 
-    /// Levenberg–Marquardt; returns the number of steps, the final cost, and whether it converged.
-    pub(super) fn descend(
-        &mut self,
-        descent: &mut Descent,
-        scales: LossScales,
-        steps: usize,
-    ) -> (usize, f64, bool) {
+    /// Levenberg–Marquardt; returns the number of steps.
+    pub(super) fn descend(&mut self, descent: &mut Descent, scales: LossScales, steps: usize) -> usize {
         let mut cost = self.cost(descent, scales);
         let mut damping = 0.0;
         for taken in 0..steps {
@@ -148,7 +127,7 @@ impl PoseGraph {
                 let Some(change) = descent.equations.solve(damping) else {
                     damping = next_damping(damping);
                     if damping > MAX_DAMPING {
-                        return (taken, cost, false);
+                        return taken;
                     }
                     continue;
                 };
@@ -161,7 +140,7 @@ impl PoseGraph {
                     cost = found;
                     damping *= 0.1;
                     if gained <= MIN_GAIN * (1.0 + found) {
-                        return (taken + 1, cost, true);
+                        return taken + 1;
                     }
                     break;
                 }
@@ -172,11 +151,11 @@ impl PoseGraph {
                 damping = next_damping(damping);
                 if damping > MAX_DAMPING {
                     // No step reduces the cost: converged to rounding.
-                    return (taken + 1, cost, true);
+                    return taken + 1;
                 }
             }
         }
-        (steps, cost, false)
+        steps
     }
 
     /// Normalised residual squared of an edge.

@@ -35,7 +35,6 @@ mod placement;
 mod reach;
 
 pub use absolute::AbsoluteEdge;
-pub use descent::Optimization;
 pub use placement::{AbsoluteUse, Placed, Unplaceable};
 pub use reach::{Reach, Reached};
 
@@ -166,16 +165,6 @@ impl PoseGraph {
         let [Some(&one), Some(&other)] = [one, other].map(|id| self.index.get(&id)) else { return 0 };
         let edges = self.edges_at[one].iter().map(|&edge| &self.edges[edge]);
         edges.filter(|edge| edge.kind == EdgeKind::Loop && edge.other(one) == other).count()
-    }
-
-    /// Number of keyframes.
-    pub fn len(&self) -> usize {
-        self.nodes.len()
-    }
-
-    /// Whether the graph is empty.
-    pub fn is_empty(&self) -> bool {
-        self.nodes.is_empty()
     }
 
     /// Pose of a keyframe.

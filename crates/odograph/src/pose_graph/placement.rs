@@ -54,9 +54,9 @@ pub enum Unplaceable {
 impl fmt::Display for Unplaceable {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         match self {
-            Self::TooFew => f.write_str(
-                "fewer than two of its places were seen; two are the least, or one with a heading",
-            ),
+            Self::TooFew => {
+                f.write_str("fewer than two of its places were seen; two are needed, or one with a heading")
+            }
             Self::Contradiction { agree, of } => {
                 write!(f, "only {agree} of {of} observations of its places agree with the path")
             }

@@ -173,12 +173,3 @@ impl Reach<'_> {
         (GraphPath { node, noise, by_mount, edges: path.edges + 1, across_gap }, variance_m2)
     }
 }
-
-impl Iterator for Reach<'_> {
-    type Item = Reached;
-
-    fn next(&mut self) -> Option<Reached> {
-        let id = self.further()?;
-        self.to(id)
-    }
-}

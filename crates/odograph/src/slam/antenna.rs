@@ -5,7 +5,8 @@ use super::Mapper;
 use super::mapper::STEPS_AT_THE_END;
 use crate::geometry::{GroundPoint, PlaneTransform, Sim2};
 use crate::keyframe::KeyframeId;
-use crate::pose_graph::{AbsoluteEdge, Placed};
+use crate::numerics::variance_of_mean_factor;
+use crate::pose_graph::AbsoluteEdge;
 use nalgebra::{Matrix2, Matrix3, Vector2};
 
 /// A position of the antenna as measured by odometry, and by the receiver.
@@ -60,7 +61,8 @@ impl Mapper {
         let mut placed = self.graph.place(&edges, Some(*start), STEPS_AT_THE_END).ok()?;
         let spread_after = placed.spread;
         // Errors that last say less than as many independent ones, and must not bend the path.
-        let lasting = lasting(&placed);
+        let off: Vec<Vector2<f64>> = placed.uses.iter().filter(|of| of.used).map(|of| of.off_m).collect();
+        let lasting = variance_of_mean_factor(&off);
         if lasting > 1.0 {
             edges.iter_mut().for_each(|edge| edge.place_covariance_m2 *= lasting);
             self.graph = before.clone();
@@ -95,14 +97,4 @@ impl Mapper {
             heading: None,
         })
     }
-}
-
-/// How many times more uncertain the mean of the residuals is than one of independent residuals, as
-/// variance: (1 + ρ) / (1 − ρ) with the correlation ρ of neighbours (first-order autoregression).
-fn lasting(placed: &Placed) -> f64 {
-    let off: Vec<Vector2<f64>> = placed.uses.iter().filter(|of| of.used).map(|of| of.off_m).collect();
-    let both: f64 = off.windows(2).map(|two| two[0].dot(&two[1])).sum();
-    let all: f64 = off.iter().map(Vector2::norm_squared).sum();
-    let correlation = if all > 0.0 { (both / all).clamp(0.0, 0.98) } else { 0.0 };
-    (1.0 + correlation) / (1.0 - correlation)
 }

@@ -68,7 +68,7 @@ impl Mapper {
                 &self.places,
                 &keyframe.signature,
                 &self.graph,
-                Some(&mut reach),
+                &mut reach,
                 here,
                 least,
                 &self.matcher,
@@ -162,7 +162,7 @@ impl Mapper {
         };
         let view_m = self.matcher.view_m(&at);
         let (here, there) = (at.pose, other.pose);
-        if (here.x_m - there.x_m).hypot(here.y_m - there.y_m) < APART_VIEWS * view_m {
+        if here.distance_m(&there) < APART_VIEWS * view_m {
             return false;
         }
         let known = |from: KeyframeId, to: KeyframeId, motion: &Vector4<f64>, covariance: Matrix4<f64>| {

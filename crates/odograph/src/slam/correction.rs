@@ -5,7 +5,7 @@
 //! between, so the path has no steps.
 
 use super::Mapper;
-use crate::geometry::pose_index::{HEIGHT, X, Y};
+use crate::geometry::pose_index::HEIGHT;
 use crate::geometry::{GroundPose, PlaneTransform, Se2, Sim2, propagated, wrap_angle};
 use crate::ground_map::MapKeyframe;
 use crate::keyframe::KeyframeId;
@@ -58,7 +58,8 @@ impl KeyframeSpans {
             self.open = false;
             return;
         };
-        let end = next.zip(frame.estimate.as_ref()).map(|((id, pose), known)| (id, pose, measured(known)));
+        let end =
+            next.zip(frame.estimate.as_ref()).map(|((id, pose), known)| (id, pose, known.measured_pose()));
         match self.spans.last_mut().filter(|span| self.open && span.keyframe == keyframe) {
             Some(span) => {
                 span.count += 1;
@@ -136,12 +137,6 @@ impl<'a> GroupCorrection<'a> {
     }
 }
 
-/// A pose as measured by its own pixels.
-pub(super) fn measured(known: &PoseEstimate) -> GroundPose {
-    let plane = &known.measured;
-    GroundPose { x_m: plane.x_m, y_m: plane.y_m, heading_rad: plane.heading_rad, ..known.pose }
-}
-
 /// Corrects a frame: interpolates between the corrections of its own and of the next keyframe.
 fn corrected(known: &mut PoseEstimate, begin: &Sim2, end: Option<(&Sim2, f64)>, keyframe: &MapKeyframe) {
     let blend = |pose: &GroundPose| {
@@ -149,7 +144,7 @@ fn corrected(known: &mut PoseEstimate, begin: &Sim2, end: Option<(&Sim2, f64)>, 
         end.map_or(here, |(end, share)| here.interpolated(&end.apply_to_pose(pose), share))
     };
     let pose = blend(&known.pose);
-    let plane = blend(&measured(known));
+    let plane = blend(&known.measured_pose());
     let turn_rad = plane.heading_rad - known.measured.heading_rad;
     let turned = Sim2::about_origin(turn_rad, pose.height_m / known.pose.height_m);
     let own = propagated(&Se2::rotation(turn_rad).product_by_right(), &known.measured.covariance);
@@ -167,14 +162,7 @@ fn corrected(known: &mut PoseEstimate, begin: &Sim2, end: Option<(&Sim2, f64)>, 
 /// Propagates the keyframe's covariance to a pose measured against it. Height and tilt keep
 /// odometry's variances.
 fn propagated_from(keyframe: &MapKeyframe, pose: &GroundPose, odometry: &Matrix6<f64>) -> Matrix6<f64> {
-    let from = &keyframe.pose;
-    let mut by_keyframe = Matrix6::identity();
-    let arm = Sim2::lever_arm(pose.x_m - from.x_m, pose.y_m - from.y_m);
-    by_keyframe.fixed_view_mut::<4, 4>(0, 0).copy_from(&arm);
-    // Derivative by the height, not by its logarithm.
-    by_keyframe[(X, HEIGHT)] /= from.height_m;
-    by_keyframe[(Y, HEIGHT)] /= from.height_m;
-    let mut covariance = propagated(&by_keyframe, &keyframe.covariance);
+    let mut covariance = propagated(&keyframe.pose.lever_arm_to(pose), &keyframe.covariance);
     // Without the keyframe's correlations, which do not belong to odometry's variances.
     for i in HEIGHT..6 {
         covariance.row_mut(i).fill(0.0);

@@ -2,7 +2,6 @@
 //! optimised.
 
 use super::Mapper;
-use super::correction::measured;
 use crate::geometry::pose_index::{X, Y};
 use crate::geometry::{GroundPose, Sim2};
 use crate::keyframe::relative_pose::relative_motion;
@@ -28,7 +27,7 @@ impl Mapper {
             let (Some(from), Some(to), Some(reference)) = (&raw.estimate, &fused.estimate, reference) else {
                 continue;
             };
-            let moved = measured(from).similarity_to(&measured(to));
+            let moved = from.measured_pose().similarity_to(&to.measured_pose());
             moves.entry(reference.keyframe).or_insert(moved);
             if let Some((id, pose)) = &mut reference.next {
                 // A keyframe made from this frame moves with it; one that was revisited moves as

@@ -6,7 +6,7 @@ use crate::camera::{Camera, Rig};
 use crate::error::Result;
 use crate::fixed_pattern::ImageMask;
 use crate::geometry::pose_index::{HEIGHT, ROLL};
-use crate::geometry::{GroundPose, PlaneTransform, Se2, propagated};
+use crate::geometry::{PlaneTransform, Se2, propagated};
 use crate::ground_map::{GroundMap, KeyframeImage, KeyframeStore, MapKeyframe};
 use crate::image::RgbImage;
 use crate::keyframe::{EdgeKind, GroundInView, KeyframeId, MapEdge};
@@ -336,12 +336,6 @@ impl Mapper {
         SessionScale::of(&places)
     }
 
-    /// A pose measured against a keyframe, transformed into the map frame; `None` if there is no
-    /// such keyframe.
-    pub fn in_map(&self, keyframe: KeyframeId, odometry: &GroundPose) -> Option<GroundPose> {
-        Some(self.of_run(keyframe)?.map_from_odometry().apply_to_pose(odometry))
-    }
-
     /// The number in the map of a keyframe by that in the session.
     pub(super) fn number_in_map(&self, id: KeyframeId) -> KeyframeId {
         KeyframeId(self.first + id.0)
@@ -413,7 +407,7 @@ impl Mapper {
         };
         self.graph.insert(id, pose, new.pose.height_m);
         self.index.insert(id, self.map.keyframes.len());
-        // A site has many keyframes, and knows neither of them.
+        // The many keyframes of a fleet have neither.
         if new.systematic != Matrix6::zeros() {
             self.systematic.insert(id, new.systematic);
         }

@@ -1,9 +1,7 @@
 //! Scale of a session relative to the sessions before it, from places that both have seen.
 
-use crate::numerics::median;
+use crate::numerics::{DEVIATION_OF_MEDIAN, median};
 
-/// Standard deviation over the median absolute deviation, for the normal distribution.
-const DEVIATION_OF_MEDIAN: f64 = 1.4826;
 /// Standard deviation of the median over that of the mean, for the normal distribution.
 const MEDIAN_OVER_MEAN: f64 = 1.2533;
 /// Relative difference from the map's scale that is tolerated: about what a height measured with a
@@ -19,7 +17,7 @@ const PLACE_DEVIATION: f64 = 0.002;
 
 /// Scale of a session relative to an earlier one at one recognised place.
 #[derive(Debug, Clone, Copy, PartialEq)]
-pub(super) struct PlaceScale {
+pub struct PlaceScale {
     /// Logarithm of the ratio of [`SessionScale::ratio`].
     ln_ratio: f64,
     /// Its standard deviation.
@@ -27,7 +25,8 @@ pub(super) struct PlaceScale {
 }
 
 impl PlaceScale {
-    /// `None` if the place shows no scale: its deviation is not finite.
+    /// From the logarithm of the ratio and its standard deviation. `None` if the place shows no
+    /// scale: its deviation is not finite.
     pub fn new(ln_ratio: f64, deviation: f64) -> Option<Self> {
         deviation.is_finite().then(|| Self { ln_ratio, deviation: deviation.max(PLACE_DEVIATION) })
     }
@@ -54,7 +53,7 @@ impl SessionScale {
     /// The median over recognised places, by the logarithms of their ratios; `None` without any.
     /// Its deviation is by their spread, which in a few places may be small by chance, and not less
     /// than by the deviation that places usually have by themselves.
-    pub(super) fn of(places: &[PlaceScale]) -> Option<Self> {
+    pub fn of(places: &[PlaceScale]) -> Option<Self> {
         let middle = median(&mut places.iter().map(|place| place.ln_ratio).collect::<Vec<_>>())?;
         let mut off: Vec<f64> = places.iter().map(|place| (place.ln_ratio - middle).abs()).collect();
         let spread = DEVIATION_OF_MEDIAN * median(&mut off)?;

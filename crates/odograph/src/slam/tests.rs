@@ -1,11 +1,15 @@
 use super::*;
+use crate::camera::{Camera, Rig};
+use crate::geometry::GroundPose;
 use crate::ground_map::{GroundMap, KeyframeImages, MemoryImages, MountedCamera};
+use crate::image::GrayImage;
 use crate::keyframe::relative_pose::{compose, relative_motion};
 use crate::keyframe::{EdgeKind, KeyframeId, MapEdge};
+use crate::loop_closure::LoopClosureConfig;
 use crate::motion::Random;
-use crate::odometry::{KeyframeEvent, NewKeyframe};
+use crate::odometry::{FrameReference, KeyframeEvent, NewKeyframe, Odometry, OdometryConfig};
 use crate::simulation::{Ground, Renderer, shared_ground};
-use crate::trajectory::{PlaneMeasurement, TrackStatus};
+use crate::trajectory::{FrameEstimate, PlaneMeasurement, TrackStatus};
 use nalgebra::{Matrix4, Matrix6, Vector4};
 
 const HEIGHT_M: f64 = 0.75;
@@ -415,15 +419,20 @@ fn bent_lanes_that_see_each_other_come_out_straight() {
 #[test]
 fn the_map_pose_follows_the_frame_as_it_comes() {
     let world = SlamWorld::new("asphalt");
-    let images = Box::new(MemoryImages::default());
-    let rig = Rig::level(HEIGHT_M);
-    let mut slam =
-        Slam::new(world.camera.clone(), rig, config(), LoopClosureConfig::default(), images).unwrap();
+    let mut images = MemoryImages::default();
+    let mut odometry = Odometry::new(world.camera.clone(), Rig::level(HEIGHT_M), config()).unwrap();
+    odometry.record_keyframes();
+    let mut mapper = world.mapper();
     for (number, pose) in along((0.0, 0.0), 0.0, 12).enumerate() {
-        let frame = slam.process(world.image(pose, number as u64), number as f64 * FRAME_S).unwrap();
-        assert_eq!(frame.map_pose, frame.odometry.estimate.map(|known| known.pose));
+        let frame = odometry.process(world.image(pose, number as u64), number as f64 * FRAME_S).unwrap();
+        for event in odometry.take_keyframe_events() {
+            mapper.take(event, None, &mut images).unwrap();
+        }
+        let (pose, reference) = (frame.estimate.unwrap().pose, odometry.reference().unwrap());
+        let keyframe = mapper.of_run(reference.keyframe).unwrap();
+        assert_eq!(keyframe.map_from_odometry().apply_to_pose(&pose), pose);
     }
-    let (mapper, _) = slam.finish();
+    mapper.finish();
     assert!(!mapper.map().keyframes.is_empty());
 }
 

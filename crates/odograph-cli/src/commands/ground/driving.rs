@@ -169,7 +169,7 @@ fn follow(
         driven.watch(&estimate, &odometry);
         if let Some(pose) = estimate.estimate.map(|estimate| estimate.pose) {
             let from = before.replace(pose).unwrap_or(pose);
-            length_by_frames_m += (pose.x_m - from.x_m).hypot(pose.y_m - from.y_m);
+            length_by_frames_m += pose.distance_m(&from);
         }
         progress.inc(1);
     }

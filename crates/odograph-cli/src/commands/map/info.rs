@@ -210,8 +210,7 @@ fn markers(landmarks: Vec<MapLandmark>) -> Vec<MarkerInfo> {
 
 /// Length of the path, metres; what was not measured does not count.
 fn length_m(path: &[PathFrame]) -> f64 {
-    let step =
-        |two: &[PathFrame]| (two[1].pose.x_m - two[0].pose.x_m).hypot(two[1].pose.y_m - two[0].pose.y_m);
+    let step = |two: &[PathFrame]| two[1].pose.distance_m(&two[0].pose);
     // The sum of nothing is -0.
     path.windows(2).filter(|two| two[0].segment == two[1].segment).map(step).fold(0.0, |sum, step| sum + step)
 }

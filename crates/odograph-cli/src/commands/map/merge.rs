@@ -9,10 +9,9 @@ use odograph::keyframe::{KeyframeId, MapEdge};
 use odograph::landmark::{MarkerSighting, PlacedSighting};
 use odograph::loop_closure::LoopClosure;
 use odograph::loop_closure::LoopClosureConfig;
-use odograph::numerics::median;
 use odograph::odometry::OdometryConfig;
 use odograph::place_recognition::{PlaceIndex, PlacesConfig};
-use odograph::slam::{self, Mapper, SessionScale};
+use odograph::slam::{self, Mapper, PlaceScale, SessionScale};
 use odograph_map::{KeyframeMove, MapClaim, MapFile, MapMarker, Session, corrected_path};
 use odograph_session::other_height;
 use std::fs;
@@ -314,15 +313,6 @@ struct KnownPlaces {
     index: PlaceIndex,
 }
 
-/// Least standard deviation of the logarithm of the scale at one place, as for a run that continues
-/// a map: what its matched features do not show.
-const PLACE_DEVIATION: f64 = 0.002;
-
-/// Standard deviation of the median over that of the mean, and standard deviation over the median
-/// absolute deviation, both for the normal distribution.
-const MEDIAN_OVER_MEAN: f64 = 1.2533;
-const DEVIATION_OF_MEDIAN: f64 = 1.4826;
-
 impl KnownPlaces {
     fn new(map: &GroundMap) -> Self {
         let mut index = PlaceIndex::new(&PlacesConfig::new(&map.camera, map.rig.first_pose().height_m));
@@ -344,16 +334,9 @@ impl KnownPlaces {
         };
         let places = added.iter().filter(is_closed).filter_map(|keyframe| {
             let place = self.index.query(&keyframe.signature, 1).into_iter().find(|place| place.is_sure())?;
-            place.ln_scale_deviation.is_finite().then_some((place.motion.w, place.ln_scale_deviation))
+            PlaceScale::new(place.motion.w, place.ln_scale_deviation)
         });
-        let (mut ln_ratios, mut deviations): (Vec<f64>, Vec<f64>) = places.unzip();
-        let middle = median(&mut ln_ratios)?;
-        let mut off: Vec<f64> = ln_ratios.iter().map(|ln_ratio| (ln_ratio - middle).abs()).collect();
-        let spread = DEVIATION_OF_MEDIAN * median(&mut off)?;
-        let usual = median(&mut deviations)?.max(PLACE_DEVIATION);
-        let count = ln_ratios.len();
-        let deviation = middle.exp() * MEDIAN_OVER_MEAN * spread.max(usual) / (count as f64).sqrt();
-        Some(SessionScale { ratio: middle.exp(), deviation, places: count })
+        SessionScale::of(&places.collect::<Vec<_>>())
     }
 }
 

@@ -90,5 +90,5 @@ fn in_place(path: &Path, arguments: &OptimizeArguments) -> Result<Outcome> {
 
 fn most_moved_m(before: &GroundMap, after: &GroundMap) -> f64 {
     let pairs = before.keyframes.iter().zip(&after.keyframes);
-    pairs.map(|(a, b)| (a.pose.x_m - b.pose.x_m).hypot(a.pose.y_m - b.pose.y_m)).fold(0.0, f64::max)
+    pairs.map(|(a, b)| a.pose.distance_m(&b.pose)).fold(0.0, f64::max)
 }

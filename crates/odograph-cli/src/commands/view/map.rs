@@ -98,7 +98,7 @@ fn records_of(
 ) -> Vec<TrackRecord> {
     let speed = |k: usize| {
         let (a, b) = (&frames[k.saturating_sub(1)], &frames[(k + 1).min(frames.len() - 1)]);
-        let way = (b.pose.x_m - a.pose.x_m).hypot(b.pose.y_m - a.pose.y_m);
+        let way = b.pose.distance_m(&a.pose);
         if a.segment == b.segment && b.time_s > a.time_s { way / (b.time_s - a.time_s) } else { f64::NAN }
     };
     let record = |(k, frame): (usize, &PathFrame)| {

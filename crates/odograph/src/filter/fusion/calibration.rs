@@ -406,7 +406,7 @@ const WORST_HEIGHT_SHARE: f64 = 0.05;
 /// Calibrates a compass against the camera's heading.
 pub fn heading(record: &SensorRecord, nodes: &[MeasuredFrame]) -> Result<Sighted, Reason> {
     let camera = |node: &MeasuredFrame| node.heading_rad;
-    let drift = |node: &MeasuredFrame| node.carried[(2, 2)];
+    let drift = |node: &MeasuredFrame| node.keyframe_covariance[(2, 2)];
     let found =
         StateComparison { record, nodes, factor: &|_| 1.0, camera: &camera, drift: &drift }.sighted()?;
     within(found, nodes, camera, WORST_HEADING_RAD)

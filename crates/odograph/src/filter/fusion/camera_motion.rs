@@ -20,7 +20,7 @@ pub struct MeasuredFrame {
     pub tilt_cosine: f64,
     /// Covariance of (x, y, heading) of the reference keyframe, without the frame's own measurement
     /// noise.
-    pub carried: Matrix3<f64>,
+    pub keyframe_covariance: Matrix3<f64>,
     /// Variance of the height relative to the start of the run, square metres.
     pub height_variance: f64,
 }
@@ -64,7 +64,7 @@ pub fn nodes(frames: &[FrameEstimate]) -> Vec<MeasuredFrame> {
             heading_rad: plane.heading_rad,
             height_m: pose.height_m,
             tilt_cosine: pose.roll_rad.cos() * pose.pitch_rad.cos(),
-            carried: known.covariance.fixed_view::<3, 3>(0, 0) - plane.covariance,
+            keyframe_covariance: known.covariance.fixed_view::<3, 3>(0, 0) - plane.covariance,
             height_variance: known.covariance[(HEIGHT, HEIGHT)].max(0.0),
         });
     }
@@ -83,15 +83,15 @@ fn leave_out_passing_errors(nodes: &mut [MeasuredFrame]) {
         let node = &mut here[0];
         let is_near =
             |later: &&MeasuredFrame| later.segment == node.segment && later.time_s <= node.time_s + PASSING_S;
-        let mut least = node.carried.diagonal();
+        let mut least = node.keyframe_covariance.diagonal();
         for later in after.iter().take_while(is_near) {
-            least = least.inf(&later.carried.diagonal());
+            least = least.inf(&later.keyframe_covariance.diagonal());
         }
         for (i, least) in least.iter().enumerate() {
-            let share = least.max(0.0) / node.carried[(i, i)];
+            let share = least.max(0.0) / node.keyframe_covariance[(i, i)];
             if share < 1.0 {
-                node.carried.row_mut(i).scale_mut(share.sqrt());
-                node.carried.column_mut(i).scale_mut(share.sqrt());
+                node.keyframe_covariance.row_mut(i).scale_mut(share.sqrt());
+                node.keyframe_covariance.column_mut(i).scale_mut(share.sqrt());
             }
         }
     }
@@ -164,7 +164,7 @@ mod tests {
         };
         let frames: Vec<_> = (0..300).map(|k| frame(k, variance(k))).collect();
         let nodes = nodes(&frames);
-        let heading = |k: usize| nodes[k].carried[(HEADING, HEADING)];
+        let heading = |k: usize| nodes[k].keyframe_covariance[(HEADING, HEADING)];
         assert!((0..30).all(|k| heading(k) < 4e-7), "{:?}", (heading(15), heading(29)));
         assert!((heading(200) - variance(200)).abs() < 1e-12);
     }

@@ -122,7 +122,7 @@ impl Forward {
         let mut state = FusionState::zeros();
         (state[X], state[Y]) = (first.x_m, first.y_m);
         let mut covariance = StateMatrix::zeros();
-        covariance.fixed_view_mut::<3, 3>(0, 0).copy_from(&first.carried);
+        covariance.fixed_view_mut::<3, 3>(0, 0).copy_from(&first.keyframe_covariance);
         // Uninformative prior of the two biases: any heading zero, any mounting.
         (covariance[(COMPASS, COMPASS)], covariance[(RANGE, RANGE)]) = (10.0, 10.0);
         let (heading, range) = Default::default();
@@ -141,7 +141,8 @@ impl Forward {
         self.state[Y] += my;
         // Process noise: growth of the camera's covariance beyond the propagation of the previous
         // errors.
-        let grown = node.carried - propagated(&Se2::lever_arm(dx, dy), &before.carried);
+        let grown =
+            node.keyframe_covariance - propagated(&Se2::lever_arm(dx, dy), &before.keyframe_covariance);
         let mut noise = StateMatrix::zeros();
         for i in 0..3 {
             noise[(i, i)] = grown[(i, i)].max(0.0);

@@ -29,8 +29,7 @@ pub use rejection::Reason;
 pub use report::{SensorKind, SensorParameter, SensorReport};
 pub use series::{Quantity, SensorRecord};
 
-use super::FilterConfig;
-use super::smoother::{SmoothedFrame, smooth};
+use super::smoother::SmoothedFrame;
 use crate::geometry::pose_index::HEIGHT;
 use crate::geometry::{GroundPose, PlaneTransform, Se2, Sim2, propagated};
 use crate::trajectory::FrameEstimate;
@@ -138,17 +137,6 @@ pub fn fuse(frames: &[FrameEstimate], sensors: &Sensors) -> Fusion {
     match outcome {
         Some((estimate, bridges)) => corrected(frames, &nodes, &estimate.corrected, &bridges, reports),
         None => Fusion { frames: frames.to_vec(), reports, moved: false, reckoned: Reckoned::default() },
-    }
-}
-
-impl Fusion {
-    /// The smoothed path ([`smooth`]), with dead-reckoned poses in the gaps.
-    pub fn smooth(&self, config: &FilterConfig) -> Vec<SmoothedFrame> {
-        let mut path = Vec::with_capacity(self.frames.len());
-        let mut merge = self.reckoned.merge();
-        smooth(&self.frames, config).into_iter().for_each(|frame| merge.next(frame, &mut |f| path.push(f)));
-        merge.end(&mut |frame| path.push(frame));
-        path
     }
 }
 

@@ -1,7 +1,8 @@
 //! Sensor fusion on synthetic odometry with exact ground truth: simulated paths and sensors,
 //! without rendering.
 
-use super::super::PoseSource;
+use super::super::tests::smooth;
+use super::super::{FilterConfig, PoseSource};
 use super::*;
 use crate::camera::{Camera, Rig};
 use crate::geometry::GroundPose;
@@ -139,7 +140,12 @@ fn gyroscope_and_wheel_bridge_two_seconds_of_darkness_within_centimetres() {
         assert!(sigma_m < 0.03, "{sigma_m}");
         square_sum += off_m.powi(2) / sigma_m.powi(2);
         // Every frame in the dark has a pose of the same accuracy.
-        let path = fusion.smooth(&FilterConfig::default());
+        let mut path = Vec::with_capacity(frames.len());
+        let mut merge = fusion.reckoned.merge();
+        for frame in smooth(&fusion.frames, &FilterConfig::default()) {
+            merge.next(frame, &mut |frame| path.push(frame));
+        }
+        merge.end(&mut |frame| path.push(frame));
         assert_eq!(path.len(), frames.len());
         for frame in path.iter().filter(|frame| (6.0..8.0).contains(&frame.time_s)) {
             assert_eq!(frame.source, PoseSource::Sensors);

@@ -278,11 +278,6 @@ pub struct WithCovariance<T, const N: usize> {
 }
 
 impl<T: PlaneTransform<N>, const N: usize> WithCovariance<T, N> {
-    /// The transform without any doubt.
-    pub fn exact(transform: T) -> Self {
-        Self { transform, covariance: SMatrix::zeros() }
-    }
-
     /// `source_from_target`.
     pub fn inverse(&self) -> Self {
         let transform = self.transform.inverse();

@@ -301,7 +301,7 @@ widened! {
 }
 
 /// Sums over a patch of the samples, of their central differences along x and y in half gray levels
-/// per pixel, and of all products of these.
+/// per pixel, and of all products of samples and differences.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub struct PatchSums {
     pub sample: i32,

@@ -55,7 +55,7 @@ struct PlacedKeyframe {
     /// Index of its camera.
     camera: usize,
     pose: GroundPose,
-    /// What of its image is not ground.
+    /// Mask of its pixels that do not show ground.
     mask: Option<Arc<ImageMask>>,
     /// Side of the ground that a pixel in the middle of its image sees, metres.
     sample_m: f64,

@@ -1,6 +1,7 @@
 //! Correlation of views over all shifts in the Fourier domain.
 
 use super::view::GroundView;
+use crate::numerics::median;
 use rustfft::num_complex::Complex;
 use rustfft::{Fft, FftPlanner};
 use std::sync::Arc;
@@ -126,11 +127,7 @@ fn rotated_pair(view: &GroundView, headings: [f64; 2], zoom: f64) -> Spectrum {
 /// Standard deviation of the correlation at unrelated places: the median over rotations.
 pub(super) fn noise(peaks: &[Peak]) -> f64 {
     let mut spreads: Vec<f64> = peaks.iter().map(|peak| peak.spread).collect();
-    if spreads.is_empty() {
-        return 1.0;
-    }
-    spreads.sort_by(f64::total_cmp);
-    spreads[spreads.len() / 2].max(1e-6)
+    median(&mut spreads).map_or(1.0, |spread| spread.max(1e-6))
 }
 
 /// Inverse root of the overlap of two discs of that area, for all shifts; zero where it is too

@@ -59,12 +59,8 @@ pub struct Hypothesis {
     pub heading_rad: f64,
     /// True height over the height that the frame's view was made for.
     pub scale: f64,
-    /// Normalised correlation over the overlap, −1 to 1.
-    pub correlation: f64,
     /// Fraction of the overlap's blocks of 10x10 samples whose correlation is positive, 0 to 1.
     pub agreement: f64,
-    /// Overlap as a fraction of the keyframe's view, 0 to 1.
-    pub overlap: f64,
     /// Correlation in standard deviations of that of unrelated places. The maximum over all tried
     /// places reaches five to eight by chance.
     pub score: f64,
@@ -190,9 +186,8 @@ fn scales(free: bool) -> Vec<Vec<f64>> {
     if !free {
         return vec![vec![1.0]];
     }
-    let (is_near, far): (Vec<i32>, Vec<i32>) =
-        (-SCALE_STEPS..=SCALE_STEPS).partition(|steps| steps.abs() <= 1);
-    [is_near, far].map(|steps| steps.into_iter().map(|steps| SCALE_STEP.powi(steps)).collect()).into()
+    let (near, far): (Vec<i32>, Vec<i32>) = (-SCALE_STEPS..=SCALE_STEPS).partition(|steps| steps.abs() <= 1);
+    [near, far].map(|steps| steps.into_iter().map(|steps| SCALE_STEP.powi(steps)).collect()).into()
 }
 
 /// Refines the best peaks between the grid points; duplicates are merged.
@@ -221,11 +216,9 @@ fn refine(
     best_of(&mut coarse, 2 * options.hypotheses);
     let mut fine: Vec<_> = coarse.iter().filter_map(|(_, start)| improve(*start, FINE_STEPS)).collect();
     best_of(&mut fine, options.hypotheses);
-    let hypothesis = |(quality, placement): &(f64, ViewPlacement)| {
-        let overlap = refinement::compare(keyframe, now, placement, FINE_STEPS.1)?;
-        Some(placement.hypothesis(keyframe, now, &overlap, quality / noise))
-    };
-    fine.iter().filter_map(hypothesis).collect()
+    let hypothesis =
+        |(quality, placement): &(f64, ViewPlacement)| placement.hypothesis(keyframe, now, quality / noise);
+    fine.iter().map(hypothesis).collect()
 }
 
 /// Keeps the best placements, the best first, and of several at one place only the best.

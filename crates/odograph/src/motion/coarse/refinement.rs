@@ -42,13 +42,7 @@ impl ViewPlacement {
             && (self.zoom / other.zoom).ln().abs() < 0.2
     }
 
-    pub fn hypothesis(
-        &self,
-        keyframe: &GroundView,
-        now: &GroundView,
-        agreement: &OverlapCorrelation,
-        score: f64,
-    ) -> Hypothesis {
+    pub fn hypothesis(&self, keyframe: &GroundView, now: &GroundView, score: f64) -> Hypothesis {
         let scale = self.zoom * keyframe.pixel_m / now.pixel_m;
         let (sin, cos) = self.heading_rad.sin_cos();
         let (from_x, from_y) = (scale * now.centre_m.0, scale * now.centre_m.1);
@@ -59,9 +53,7 @@ impl ViewPlacement {
             y_m: keyframe.centre_m.1 + y - (sin * from_x + cos * from_y),
             heading_rad: wrap_angle(self.heading_rad),
             scale,
-            correlation: agreement.correlation,
             agreement: agreeing_share(keyframe, now, self),
-            overlap: agreement.samples as f64 / keyframe.area as f64,
             score,
         }
     }

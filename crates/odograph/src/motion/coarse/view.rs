@@ -111,9 +111,9 @@ impl ViewGeometry {
             for i in 0..width {
                 let x = centre.0 + ((height as f64 - 1.0) / 2.0 - j as f64) * step;
                 let y = centre.1 + ((width as f64 - 1.0) / 2.0 - i as f64) * step;
-                let nuisance = |tap: usize| ((tap as f64 + 0.5) / taps as f64 - 0.5) * step;
+                let offset = |tap: usize| ((tap as f64 + 0.5) / taps as f64 - 0.5) * step;
                 let mean = (0..taps * taps)
-                    .map(|tap| gray(x + nuisance(tap / taps), y + nuisance(tap % taps)))
+                    .map(|tap| gray(x + offset(tap / taps), y + offset(tap % taps)))
                     .try_fold(0.0, |sum, value| value.map(|value| sum + value));
                 if let Some(sum) = mean {
                     values[j * width + i] = sum / (taps * taps) as f32;

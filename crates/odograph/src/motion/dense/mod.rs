@@ -54,8 +54,6 @@ pub struct DenseEstimate {
     pub overlap: f64,
     /// Inlier ratio of the tiles in the image.
     pub agreement: f64,
-    /// Pyramid level of the last registration.
-    pub halvings: usize,
 }
 
 /// A tile found in an image.
@@ -128,8 +126,7 @@ pub fn refine(
     for (halvings, tiles) in reference.levels.iter().rev() {
         let Some(plane) = image.planes.get(*halvings) else { continue };
         let keyframe_pose = &reference.pose;
-        let level =
-            DenseLevel { camera, tiles, keyframe_pose, image, plane, halvings: *halvings, prior, config };
+        let level = DenseLevel { camera, tiles, keyframe_pose, image, plane, prior, config };
         let Some(found) = level.converge(&pose) else { continue };
         if *halvings >= FIRST_OVERLAPPING_LEVEL {
             // Too few tiles to be accepted; only the start for the next level.
@@ -178,7 +175,6 @@ struct DenseLevel<'a> {
     keyframe_pose: &'a GroundPose,
     image: &'a DenseImage,
     plane: &'a DensePlane,
-    halvings: usize,
     prior: &'a RigPrior,
     config: &'a MotionConfig,
 }
@@ -200,7 +196,7 @@ impl DenseLevel<'_> {
             let next = self.step(&pose)?;
             let next_pose = &next.estimate.pose;
             let rotation_m = 0.5 * guess.height_m * (next_pose.heading_rad - pose.heading_rad).abs();
-            let moved_m = (next_pose.x_m - pose.x_m).hypot(next_pose.y_m - pose.y_m) + rotation_m;
+            let moved_m = next_pose.distance_m(&pose) + rotation_m;
             if moved_m > MAX_STEP_SAMPLES * sample_m {
                 return None;
             }
@@ -249,8 +245,7 @@ impl DenseLevel<'_> {
             planar_pose::refine(self.camera, observations, pose, &agreeing, pose, self.prior, &config)?;
         let agreement = estimate.inlier_count() as f64 / matches.len() as f64;
         let overlap = matches.len() as f64 / self.tiles.len() as f64;
-        let (score, halvings) = (score(&matches), self.halvings);
-        Some(DenseEstimate { estimate, tracks, score, overlap, agreement, halvings })
+        Some(DenseEstimate { estimate, tracks, score: score(&matches), overlap, agreement })
     }
 
     /// Measured position of a tile; `None` where its contrast does not match or its Hessian is

@@ -441,7 +441,7 @@ impl DrivenPath {
         self.segment = self.segment.max(frame.segment);
         let pose = estimate.pose;
         self.last = Some(pose);
-        let step_m = distance_m(self.corner.get_or_insert(pose), &pose);
+        let step_m = self.corner.get_or_insert(pose).distance_m(&pose);
         if step_m >= Self::STEP * pose.height_m {
             self.length_m += step_m;
             self.corner = Some(pose);
@@ -449,10 +449,6 @@ impl DrivenPath {
         let covariance = &estimate.covariance;
         self.deviation_m = (covariance[(0, 0)] + covariance[(1, 1)]).max(0.0).sqrt();
     }
-}
-
-fn distance_m(a: &GroundPose, b: &GroundPose) -> f64 {
-    (a.x_m - b.x_m).hypot(a.y_m - b.y_m)
 }
 
 fn square(value: f64) -> f64 {

@@ -1,6 +1,5 @@
 //! How fast the camera moved while its images were read out: derivatives of the poses by time.
 
-use crate::geometry::GroundPose;
 use crate::keyframe::KeyframeId;
 use crate::motion::PoseRates;
 use crate::trajectory::FrameEstimate;
@@ -44,10 +43,7 @@ impl RateHistory {
             self.poses.clear();
             return count;
         };
-        let measured = &estimate.measured;
-        let GroundPose { height_m, roll_rad, pitch_rad, .. } = estimate.pose;
-        let pose =
-            Vector6::new(measured.x_m, measured.y_m, measured.heading_rad, height_m, roll_rad, pitch_rad);
+        let pose = estimate.measured_pose().to_vector();
         if self.poses.back().is_some_and(|(_, time_s, _)| frame.time_s <= *time_s) {
             self.poses.clear();
         }

@@ -254,7 +254,7 @@ fn a_rendered_drive_gives_the_tilt_from_five_degrees_off() {
     assert_eq!(found.observability, Observability::Full);
     // The given height is right, so the length is, to the per mille asked of the height.
     let seen: Vec<GroundPose> = simulation.times_s().iter().map(|&time_s| simulation.truth(time_s)).collect();
-    let truth_m: f64 = seen.windows(2).map(|two| distance_m(&two[0], &two[1])).sum();
+    let truth_m: f64 = seen.windows(2).map(|two| two[0].distance_m(&two[1])).sum();
     assert!((length_m / truth_m - 1.0).abs() < 2e-3, "{length_m} {truth_m}");
 }
 

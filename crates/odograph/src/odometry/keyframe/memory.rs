@@ -2,7 +2,6 @@
 
 use super::Keyframe;
 use super::overlap::{image_grid, overlap};
-use super::record::KeyframeRecord;
 use crate::camera::Camera;
 use crate::detection::DetectionConfig;
 use crate::fixed_pattern::ImageMask;
@@ -14,10 +13,17 @@ use std::sync::{Arc, OnceLock};
 /// The last keyframes, to be taken up again when the camera comes back to them.
 #[derive(Debug)]
 pub struct KeyframeMemory {
-    records: VecDeque<KeyframeRecord>,
+    records: VecDeque<Remembered>,
     most: usize,
     /// What is known by now not to be ground, and how corners are sought where one lies there.
     mask: Option<(Arc<ImageMask>, DetectionConfig)>,
+}
+
+#[derive(Debug)]
+struct Remembered {
+    keyframe: Keyframe,
+    /// Whether its pose is connected with the present one by measurement.
+    reachable: bool,
 }
 
 impl KeyframeMemory {
@@ -25,8 +31,9 @@ impl KeyframeMemory {
         Self { records: VecDeque::new(), most, mask: None }
     }
 
-    pub fn remember(&mut self, record: KeyframeRecord) {
-        self.records.push_back(record);
+    /// Keeps a keyframe that is no longer in use.
+    pub fn remember(&mut self, keyframe: Keyframe) {
+        self.records.push_back(Remembered { keyframe: keyframe.retired(), reachable: true });
         while self.records.len() > self.most {
             self.records.pop_front();
         }
@@ -44,10 +51,10 @@ impl KeyframeMemory {
         let seen = ViewingPose::new(*pose);
         let rays = image_grid(camera);
         let in_view: Vec<(f64, usize)> = (self.records.iter().enumerate())
-            .map(|(i, record)| (overlap(&record.pose, &rays, camera, &seen), i))
+            .map(|(i, record)| (overlap(&record.keyframe.pose, &rays, camera, &seen), i))
             .filter(|(overlap, _)| *overlap >= least)
             .collect();
-        let spread_m2 = |i: usize| self.records[i].spread_m2();
+        let spread_m2 = |i: usize| self.records[i].keyframe.spread_m2();
         let best = in_view.iter().filter(|(overlap, _)| *overlap >= most).max_by(|a, b| a.0.total_cmp(&b.0));
         let surest = || in_view.iter().min_by(|a, b| spread_m2(a.1).total_cmp(&spread_m2(b.1)));
         let &(overlap, index) = best.or_else(surest)?;
@@ -56,11 +63,11 @@ impl KeyframeMemory {
 
     /// Sets height and tilt of all records to those of `mount`, if given.
     pub fn recalibrate(&mut self, mount: Option<&GroundPose>) {
-        for record in &mut self.records {
-            record.view = OnceLock::new();
+        for Remembered { keyframe, .. } in &mut self.records {
+            keyframe.view = OnceLock::new();
             if let Some(mount) = mount {
-                record.pose = record.pose.with_mount_of(mount);
-                record.surface = None;
+                keyframe.pose = keyframe.pose.with_mount_of(mount);
+                (keyframe.surface, keyframe.undulates) = (None, false);
             }
         }
     }
@@ -70,14 +77,9 @@ impl KeyframeMemory {
         self.mask = Some((mask.clone(), *detection));
     }
 
-    /// Puts a keyframe back that was taken out in vain.
-    pub fn put_back(&mut self, keyframe: Keyframe) {
-        self.remember(keyframe.retire());
-    }
-
     /// Takes out the keyframe with that index.
     pub fn take(&mut self, index: usize, camera: &Camera) -> Option<Keyframe> {
-        let mut keyframe = Keyframe::recorded(self.records.remove(index)?);
+        let mut keyframe = self.records.remove(index)?.keyframe;
         if let Some((mask, detection)) = &self.mask
             && keyframe.mask.as_ref().is_none_or(|known| !Arc::ptr_eq(known, mask))
         {
@@ -89,7 +91,8 @@ impl KeyframeMemory {
 
     /// Puts a keyframe back where [`KeyframeMemory::take`] took it from.
     pub fn put_back_at(&mut self, index: usize, keyframe: Keyframe) {
-        self.records.insert(index.min(self.records.len()), keyframe.retire());
+        let record = Remembered { keyframe: keyframe.retired(), reachable: true };
+        self.records.insert(index.min(self.records.len()), record);
     }
 
     /// Starts a new segment: remembered keyframes are no longer connected to the present pose.
@@ -109,10 +112,7 @@ impl KeyframeMemory {
 
     /// The indices of those keyframes, the nearest to a pose first.
     pub fn nearest(&self, pose: &GroundPose) -> Vec<usize> {
-        let away = |index: usize| {
-            let other = &self.records[index].pose;
-            (other.x_m - pose.x_m).hypot(other.y_m - pose.y_m)
-        };
+        let away = |index: usize| self.records[index].keyframe.pose.distance_m(pose);
         let mut indices = self.newest();
         indices.sort_by(|&a, &b| away(a).total_cmp(&away(b)));
         indices

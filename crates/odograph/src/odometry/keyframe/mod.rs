@@ -6,7 +6,6 @@ mod memory;
 mod moving_corners;
 mod overlap;
 mod projection;
-mod record;
 
 use super::moving_ground::MovingGround;
 use super::surface::Surface;
@@ -15,7 +14,7 @@ use crate::camera::Camera;
 use crate::detection::{Detection, DetectionConfig};
 use crate::fixed_pattern::{ImageMask, NonuniformityCorrection};
 use crate::flow::{Template, Warp};
-use crate::geometry::pose_index::{HEIGHT, ROLL};
+use crate::geometry::pose_index::{HEADING, HEIGHT, PITCH, ROLL, X, Y};
 use crate::geometry::{GroundPose, Pixel, propagated};
 use crate::image::{GrayImage, Pyramid};
 use crate::keyframe::KeyframeId;
@@ -30,7 +29,6 @@ pub use memory::KeyframeMemory;
 use nalgebra::{Matrix3, Matrix6, Matrix6x2, Vector6};
 pub use overlap::{GRID, image_grid, overlap};
 use projection::GroundProjection;
-use record::KeyframeRecord;
 use std::sync::{Arc, OnceLock};
 
 /// Corners this near the border cannot carry a full template with its gradients.
@@ -82,7 +80,7 @@ pub struct Keyframe {
     /// What its frames found of the shape of the ground.
     shape: Option<GroundShape>,
     pub corners: Vec<KeyCorner>,
-    /// What of the image is known not to be ground.
+    /// Mask of pixels that are known not to show ground.
     pub mask: Option<Arc<ImageMask>>,
     /// What of the frame that is measured against it is a copy of the frame before.
     pub stale: Option<Arc<ImageMask>>,
@@ -143,8 +141,10 @@ impl Keyframe {
         let mut sought = sought(image, mask, detection);
         sought.look(image, image.height() / 2);
         let rows = image.height();
-        let record = KeyframeRecord {
+        Self {
             id: None,
+            corners_at_first: 0,
+            corners: Vec::new(),
             pyramid,
             pose,
             covariance,
@@ -156,15 +156,57 @@ impl Keyframe {
                 accelerations: PoseRates::zeros(),
             },
             rate_variance: PoseRates::zeros(),
+            rates_on_slope: None,
             by_readout: PoseRates::zeros(),
             by_mount_tilt: Matrix6x2::zeros(),
+            level_m: 0.0,
+            shape: None,
+            seen_before_from: None,
+            new_ground_is_kerb: false,
+            undulates: false,
             surface: None,
             mask: mask.cloned(),
+            stale: None,
             places: Vec::new(),
+            moving: MovingGround::default(),
+            sought: Some(Box::new(sought)),
+            prepared: 0,
+            in_halves: false,
             view: OnceLock::new(),
-            reachable: true,
-        };
-        Self { sought: Some(Box::new(sought)), ..Self::recorded(record) }
+            texture: OnceLock::new(),
+            dense: OnceLock::new(),
+        }
+    }
+
+    /// A keyframe that is no longer in use, without its templates: a tenth of the memory. It must
+    /// be prepared again.
+    fn retired(mut self) -> Self {
+        self.find();
+        Self {
+            corners_at_first: 0,
+            corners: Vec::new(),
+            rates_on_slope: None,
+            level_m: 0.0,
+            shape: None,
+            seen_before_from: None,
+            new_ground_is_kerb: false,
+            undulates: self.surface.as_ref().is_some_and(Surface::is_smooth),
+            stale: None,
+            moving: MovingGround::default(),
+            sought: None,
+            prepared: 0,
+            in_halves: false,
+            texture: OnceLock::new(),
+            dense: OnceLock::new(),
+            ..self
+        }
+    }
+
+    /// Sum of the pose's variances, metres²: angles count as displacements at a distance of one
+    /// height.
+    fn spread_m2(&self) -> f64 {
+        let of = |i: usize| self.covariance[(i, i)];
+        of(X) + of(Y) + of(HEIGHT) + self.pose.height_m.powi(2) * (of(HEADING) + of(ROLL) + of(PITCH))
     }
 
     /// Where the corners are.

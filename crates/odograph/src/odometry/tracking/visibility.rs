@@ -47,7 +47,7 @@ impl Measurement {
         const MOVED_PX: f64 = 6.0;
         const MOST: f64 = 0.6;
         let from = &keyframe.pose;
-        let moved_m = (to.x_m - from.x_m).hypot(to.y_m - from.y_m);
+        let moved_m = to.distance_m(from);
         if moved_m * camera.focal_px().0 < MOVED_PX * to.height_m {
             return false;
         }

@@ -5,7 +5,9 @@ use super::{MIN_INLIERS, ROBUST_ITERATIONS};
 use crate::camera::Camera;
 use crate::camera::PosedCamera;
 use crate::geometry::{GroundPoint, GroundPose, Ray};
+use crate::motion::{PoseRates, RollingShutter};
 use crate::mounting::driving::{PairedTrack, ViewPair};
+use crate::numerics::{Loss, RAYLEIGH_MEDIAN, TUKEY_95, median};
 use nalgebra::{Vector2, Vector6};
 
 /// Motion of the camera between two views: x, y (heights), turn (radians), change of height
@@ -21,55 +23,28 @@ pub struct CornerRay {
     pub by_lens: [Vector2<f64>; lens::MAX_PARAMETERS],
 }
 
-/// The two views of a pair under a rolling shutter: the pose of a row is that of the middle row
-/// plus the rates times the row's time.
+/// The two views of a pair under a rolling shutter.
 pub struct Views<'a> {
     camera: &'a Camera,
-    poses: [Vector6<f64>; 2],
-    rates: [Vector6<f64>; 2],
-    accelerations: [Vector6<f64>; 2],
-    readout_s: f64,
-    rows: f64,
     /// Poses of the middle rows.
+    poses: [GroundPose; 2],
+    shutters: [RollingShutter; 2],
+    /// The camera in the middle rows.
     global: [PosedCamera<'a>; 2],
 }
 
 impl<'a> Views<'a> {
-    fn row_fraction(&self, y: f64) -> f64 {
-        (y + 0.5) / self.rows - 0.5
+    /// The pose of a row of a view, 0 or 1.
+    pub fn pose(&self, view: usize, y: f64) -> GroundPose {
+        self.shutters[view].pose_at(&self.poses[view], y)
     }
 
-    fn pose(&self, view: usize, y: f64) -> GroundPose {
-        let later_s = self.readout_s * self.row_fraction(y);
-        let moved = later_s * (self.rates[view] + 0.5 * later_s * self.accelerations[view]);
-        GroundPose::from_vector(&(self.poses[view] + moved))
-    }
-
-    fn posed(&self, view: usize, y: f64) -> PosedCamera<'a> {
-        if self.readout_s == 0.0 {
+    /// The camera in a row of a view.
+    pub fn posed(&self, view: usize, y: f64) -> PosedCamera<'a> {
+        if self.shutters[view].readout_s == 0.0 {
             return self.global[view];
         }
         PosedCamera::new(self.camera, self.pose(view, y))
-    }
-
-    /// The pose of a row of the first view.
-    pub fn first_pose(&self, y: f64) -> GroundPose {
-        self.pose(0, y)
-    }
-
-    /// The pose of a row of the second view.
-    pub fn second_pose(&self, y: f64) -> GroundPose {
-        self.pose(1, y)
-    }
-
-    /// The camera in a row of the first view.
-    pub fn first(&self, y: f64) -> PosedCamera<'a> {
-        self.posed(0, y)
-    }
-
-    /// The camera in a row of the second view.
-    pub fn second(&self, y: f64) -> PosedCamera<'a> {
-        self.posed(1, y)
     }
 }
 
@@ -155,17 +130,20 @@ impl SolvedPair<'_> {
 
     /// The two views with their rolling shutter.
     pub fn views<'b>(&self, camera: &'b Camera, rig: &GroundPose) -> Views<'b> {
+        let poses = [*rig, self.second_pose(rig)];
         let readout_s = camera.readout_s().unwrap_or(0.0);
-        let poses = [rig.to_vector(), self.second_pose(rig).to_vector()];
-        let still = [Vector6::zeros(); 2];
-        let (rates, accelerations) = self.pair.exposure.map_or((still, still), |exposure| {
+        let mut shutters = [RollingShutter::new(camera, readout_s, PoseRates::zeros()); 2];
+        if let Some(exposure) = &self.pair.exposure {
             let moved = self.movement[0].hypot(self.movement[1]);
             let scale = if exposure.distance > MIN_DISTANCE { moved / exposure.distance } else { 1.0 };
-            let scaled = |r: Vector6<f64>| Vector6::new(scale * r[0], scale * r[1], r[2], r[3], r[4], r[5]);
-            (exposure.rates.map(scaled), exposure.accelerations.map(scaled))
-        });
-        let global = poses.map(|pose| PosedCamera::new(camera, GroundPose::from_vector(&pose)));
-        Views { camera, poses, rates, accelerations, readout_s, rows: camera.height() as f64, global }
+            let scaled = |r: PoseRates| PoseRates::new(scale * r[0], scale * r[1], r[2], r[3], r[4], r[5]);
+            for (view, shutter) in shutters.iter_mut().enumerate() {
+                shutter.rates = scaled(exposure.rates[view]);
+                shutter.accelerations = scaled(exposure.accelerations[view]);
+            }
+        }
+        let global = poses.map(|pose| PosedCamera::new(camera, pose));
+        Views { camera, poses, shutters, global }
     }
 
     /// The number of coordinates that count.
@@ -185,8 +163,8 @@ impl SolvedPair<'_> {
             .map(|(track, corner)| {
                 let PairedTrack { first, second, whitening, .. } = track;
                 let ray = corner.as_ref().map(|corner| corner.ray);
-                ray.and_then(|ray| views.first_pose(first.y).ground_from_ray(ray))
-                    .and_then(|ground| views.second_pose(second.y).ray_from_ground(ground))
+                ray.and_then(|ray| views.pose(0, first.y).ground_from_ray(ray))
+                    .and_then(|ground| views.pose(1, second.y).ray_from_ground(ground))
                     .and_then(|ray| camera.pixel_from_ray(ray))
                     .map_or(f64::INFINITY, |pixel| {
                         (whitening * Vector2::new(second.x - pixel.x, second.y - pixel.y)).norm()
@@ -200,21 +178,16 @@ impl SolvedPair<'_> {
                 (squares / (self.coordinates() - 3.0).max(1.0)).max(MIN_NOISE_PX * MIN_NOISE_PX);
             return;
         }
-        let mut sorted = errors.clone();
-        let middle = sorted.len() / 2;
-        let median = *sorted.select_nth_unstable_by(middle, f64::total_cmp).1;
-        // The median of a Rayleigh distribution is 1.1774 σ of a coordinate. Tukey's constant for
-        // 95 % efficiency is 4.685.
-        let scale_px = (median / 1.1774).max(MIN_NOISE_PX);
+        let median_px = median(&mut errors.clone()).unwrap_or(f64::INFINITY);
+        let scale_px = (median_px / RAYLEIGH_MEDIAN).max(MIN_NOISE_PX);
         if !scale_px.is_finite() {
             self.weights.fill(0.0);
             return;
         }
-        let reach_px = scale_px * if iteration < ROBUST_ITERATIONS { 4.685 } else { CUTOFF_SIGMAS };
-        let biweight = |ratio: f64| if ratio < 1.0 { (1.0 - ratio * ratio).powi(2) } else { 0.0 };
+        let reach_px = scale_px * if iteration < ROBUST_ITERATIONS { TUKEY_95 } else { CUTOFF_SIGMAS };
         let weight = |error: f64| match iteration {
             ROBUST_ITERATIONS => f64::from(u8::from(error < reach_px)),
-            _ => biweight(error / reach_px),
+            _ => Loss::Tukey(1.0).weight_of_square((error / reach_px).powi(2)),
         };
         self.weights = errors.iter().map(|&error| weight(error)).collect();
         self.variance_px2 = scale_px * scale_px;

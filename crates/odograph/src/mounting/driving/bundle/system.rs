@@ -37,7 +37,7 @@ impl<const N: usize> System<N> {
         for ((track, corner), &weight) in tracks {
             let PairedTrack { first: corner_at, second: seen_at, whitening, .. } = track;
             let Some(corner) = corner.as_ref().filter(|_| weight > 0.0) else { continue };
-            let (first, second) = (views.first(corner_at.y), views.second(seen_at.y));
+            let (first, second) = (views.posed(0, corner_at.y), views.posed(1, seen_at.y));
             let Some(met) = first.ground(corner.ray) else { continue };
             let Some(seen) = second.see(met.point) else { continue };
             let Some(pixel_by_lens) = lens.pixel_by_lens(seen.ray) else { continue };

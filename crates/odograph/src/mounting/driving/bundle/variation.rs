@@ -70,8 +70,9 @@ pub struct Marginal<const N: usize> {
 }
 
 impl KeyframeVariation {
-    /// Marginalises the tilt of a keyframe. `part` holds the equations of its pairs about a tilt of
-    /// `tilted` against the mount. Its pairs cannot distinguish it from the tilt of the mount.
+    /// Marginalises the tilt of a keyframe. `part` holds the equations of its pairs about
+    /// `keyframe_tilt` against the mount. Its pairs cannot distinguish it from the tilt of the
+    /// mount.
     pub fn marginalised<const N: usize>(
         &self,
         part: &Part<N>,
