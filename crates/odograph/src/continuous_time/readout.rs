@@ -195,13 +195,13 @@ pub fn of_window(camera: &Camera, frames: &[WindowFrame]) -> Option<(f64, f64)> 
         let readout = Readout { mean_s: 0.0, variance_s2: deviation_s * deviation_s };
         Window::adjusted(camera, readout, frames, &MeasuredMotion::default(), ground, ITERATIONS)
     };
-    // Elevations of all corners can be fitted to skewed images, where the plane is right.
+    // Elevations that begin at zero may stop in a local minimum, those of the odometry may have
+    // absorbed the skew.
     let of_ground = |ground| Some((ground, adjusted(Readout::UNKNOWN_S, ground)?));
-    let grounds = [of_ground(Ground::AsTracked), of_ground(Ground::Uneven)];
-    let (ground, rolling) = match grounds {
-        [Some(tracked), Some(uneven)] if gain(&tracked.1, &uneven.1) > LEAST_GAIN => uneven,
-        [tracked, uneven] => tracked.or(uneven)?,
-    };
+    let (ground, rolling) = [Ground::Uneven, Ground::AsTracked]
+        .into_iter()
+        .filter_map(of_ground)
+        .min_by(|a, b| a.1.sigma_px.total_cmp(&b.1.sigma_px))?;
     let (readout_s, variance_s2) = (rolling.readout_s, rolling.readout_variance_s2());
     let is_significant =
         readout_s.abs() > LEAST_ROLLING_S && readout_s * readout_s > SIGNIFICANT.powi(2) * variance_s2;
