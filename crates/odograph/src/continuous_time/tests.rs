@@ -90,7 +90,7 @@ fn frames(
                 elevation: Elevation::FLAT,
             });
         }
-        let next = (k > 0 && k % SERVES == 0)
+        let next = (k > 0 && k.is_multiple_of(SERVES))
             .then(|| (KeyframeId((k / SERVES) as u64), GroundPose::from_vector(&motion(to_s)[0])));
         let reference = FrameReference { keyframe: KeyframeId(keyframe as u64), next };
         reader.frame((to_s, motion(to_s)[0] + off(k)), reference, &tracks)
