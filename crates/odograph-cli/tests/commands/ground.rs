@@ -276,7 +276,7 @@ fn a_run_estimates_an_unknown_lens_distortion() {
         outcome["lens"].is_null() && !temporary.path().join("told/camera-found.yaml").exists(),
         "{outcome}"
     );
-    assert!(warning.contains("not with k1 +0.00000, k2 +0.00000"), "{warning}");
+    assert!(warning.contains("not k1 +0.00000, k2 +0.00000"), "{warning}");
     // 14 px at the image corner; estimated to a tenth of a pixel, as its standard deviation states.
     let number = |key: &str| found["lens"][key].as_f64().unwrap();
     assert!(number("off_px") > 10.0 && number("deviation_px") < 0.3, "{found}");

@@ -57,8 +57,8 @@ fn next_frame<T>(solving: &mut Option<Solving<T>>, is_keyframe: bool) -> Option<
 /// Pairs of views that are solved within the time of one frame: a pair takes 2 to 4 ms.
 const PAIRS_PER_FRAME: usize = 4;
 
-/// Frames of a window that are adjusted within the time of one frame: 40 take some 0.5 s.
-const WINDOW_FRAMES_PER_FRAME: usize = 2;
+/// Frames of a window that are adjusted within the time of one frame: 40 take some 0.4 s.
+const WINDOW_FRAMES_PER_FRAME: usize = 3;
 
 /// Frames of the beginning that are kept, and their memory, bytes: twice as many as pass before a
 /// first window of twelve is adjusted. Not derived; chosen.
