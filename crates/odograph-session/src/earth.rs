@@ -7,9 +7,10 @@ use crate::folder::OutputFolder;
 use crate::kept_frames::KeptFrames;
 use crate::plan::RunPlan;
 use crate::sensors::SensorFiles;
-use nalgebra::{Matrix2, Point3, Vector2};
+use nalgebra::{Matrix2, Point3, Rotation2, Vector2};
 use odograph::camera::LeverArm;
 use odograph::error::{Error, Result};
+use odograph::formats::decimal::Rounded;
 use odograph::formats::geojson::{self, Feature};
 use odograph::formats::gnss_file;
 use odograph::geometry::EarthPosition;
@@ -36,6 +37,37 @@ const MAX_BYTES: u64 = 256 << 20;
 /// positions arrive.
 const SYNCHRONISED_S: f64 = 0.2;
 const STATED_S: f64 = 1.0;
+
+/// Where the antenna is on the robot.
+#[derive(Debug, Clone, Copy, Default)]
+pub struct Antenna {
+    /// As it is stated, in `base_link`.
+    stated: Option<LeverArm>,
+    /// As the positions show it, ahead and to the left of the robot or of the camera, metres, with
+    /// its standard deviation.
+    found_m: Option<(Vector2<f64>, f64)>,
+}
+
+impl Antenna {
+    /// Where it is stated to be.
+    pub fn stated(plan: &RunPlan) -> Self {
+        Self { stated: plan.antenna, found_m: None }
+    }
+
+    fn is_known(&self) -> bool {
+        self.stated.is_some() || self.found_m.is_some()
+    }
+
+    /// A warning where it was found.
+    fn warning(&self, name: &str) -> Option<String> {
+        let (at_m, sigma_m) = self.found_m?;
+        let [ahead_m, left_m, sigma_m] = [at_m.x, at_m.y, sigma_m].map(Rounded);
+        Some(format!(
+            "by {name} the antenna is {ahead_m:.3} m ahead and {left_m:.3} m to the left (± {sigma_m:.3} m) of what moves \
+             along the path: that was used; gnss_lever_arm_m in a rig file states it"
+        ))
+    }
+}
 
 /// Fixes of a run.
 pub struct GnssRecord {
@@ -92,6 +124,15 @@ impl GnssRecord {
         Some((self.fixes.first()?.time_s, self.fixes.last()?.time_s))
     }
 
+    /// Seeks the antenna where it is not stated, from its path as if it were at the camera.
+    pub fn locate(&self, antenna: Antenna, path: &[AntennaPosition]) -> Antenna {
+        if antenna.is_known() {
+            return antenna;
+        }
+        let found = georeference(path, &self.fixes, self.clock_sigma_s, false).ok();
+        Antenna { found_m: found.and_then(|found| found.antenna_m), ..antenna }
+    }
+
     /// The fixes with their points of the path, and its georeference before any correction; `None`
     /// if it has none.
     /// `path` is in the map frame, `measured` as [`measured_path`] has it.
@@ -100,7 +141,7 @@ impl GnssRecord {
         path: &[AntennaPosition],
         measured: &[(AntennaPosition, KeyframeId)],
     ) -> Option<(Vec<AntennaFix>, Georeference)> {
-        let found = georeference(path, &self.fixes, self.clock_sigma_s).ok()?;
+        let found = georeference(path, &self.fixes, self.clock_sigma_s, true).ok()?;
         let on_path = |fix: &GnssFix| {
             let time_s = fix.time_s - found.clock_offset_s;
             let next = measured.partition_point(|(at, _)| at.time_s <= time_s);
@@ -126,13 +167,14 @@ impl GnssRecord {
     pub fn place(
         &self,
         plan: &RunPlan,
+        antenna: &Antenna,
         path: &[AntennaPosition],
         frames: &[FrameSummary],
         bent: Option<DriftCorrection>,
     ) -> OnEarth {
         let span_s = frames.first().zip(frames.last()).map(|(first, last)| (first.time_s, last.time_s));
         let apart = self.span_s().zip(span_s).filter(|(own, run)| own.0 > run.1 || own.1 < run.0);
-        let reason = match (apart, georeference(path, &self.fixes, self.clock_sigma_s)) {
+        let reason = match (apart, georeference(path, &self.fixes, self.clock_sigma_s, true)) {
             (Some((own, run)), _) => {
                 let hint = if plan.sensors.gnss_start.is_some() {
                     "check --gnss-start"
@@ -146,8 +188,9 @@ impl GnssRecord {
             }
             (None, Err(reason)) => reason.to_string(),
             (None, Ok(found)) => {
-                let statistics = GnssStatistics::of(&self.fixes, &found, bent);
+                let statistics = GnssStatistics::of(&self.fixes, &found, antenna.found_m, bent);
                 let mut warnings = statistics.warnings(&self.name, plan.rig.height_m);
+                warnings.extend(antenna.warning(&self.name));
                 warnings.extend(self.clock_warning(path, &found));
                 return OnEarth { statistics, warnings, place: Some(found) };
             }
@@ -212,12 +255,12 @@ fn start_s(text: &str) -> Result<f64> {
     })
 }
 
-/// The path of the antenna, from the frames of the camera's path; without a lever arm of the
-/// antenna that of `base_link`, or of the camera.
+/// The path of the antenna, from the frames of the camera's path; where it is not known, that of
+/// `base_link`, or of the camera.
 pub fn antenna_path(
     frames: &mut KeptFrames,
     of: &PoseFrames,
-    antenna: Option<&LeverArm>,
+    antenna: &Antenna,
 ) -> Result<Vec<AntennaPosition>> {
     let mut path = Vec::with_capacity(frames.posed());
     frames.each(|frame, _| {
@@ -232,7 +275,7 @@ pub fn antenna_path(
 pub fn measured_path(
     frames: &mut KeptFrames,
     of: &PoseFrames,
-    antenna: Option<&LeverArm>,
+    antenna: &Antenna,
 ) -> Result<Vec<(AntennaPosition, KeyframeId)>> {
     let mut path = Vec::with_capacity(frames.posed());
     frames.each(|frame, reference| {
@@ -249,19 +292,19 @@ pub fn measured_path(
 }
 
 /// Where the antenna was at a frame.
-fn antenna_position(
-    frame: &FrameEstimate,
-    of: &PoseFrames,
-    antenna: Option<&LeverArm>,
-) -> Option<AntennaPosition> {
-    let arm = antenna.map_or_else(Point3::origin, |arm| Point3::new(arm.x_m, arm.y_m, arm.z_m));
+fn antenna_position(frame: &FrameEstimate, of: &PoseFrames, antenna: &Antenna) -> Option<AntennaPosition> {
+    let arm = antenna.stated.map_or_else(Point3::origin, |arm| Point3::new(arm.x_m, arm.y_m, arm.z_m));
     let own = of.at(frame.frame);
     let seen = own.frame(frame);
     let known = seen.estimate.as_ref()?;
     let there = own.world_from_frame(&known.pose) * arm;
+    let heading_rad = known.pose.heading_rad;
+    let beside_m =
+        antenna.found_m.map_or_else(Vector2::zeros, |(at_m, _)| Rotation2::new(heading_rad) * at_m);
     Some(AntennaPosition {
         time_s: frame.time_s,
-        position_m: Vector2::new(there.x, there.y),
+        position_m: Vector2::new(there.x, there.y) + beside_m,
+        heading_rad,
         covariance_m2: known.covariance.fixed_view::<2, 2>(0, 0).into_owned(),
         segment: frame.segment,
     })
@@ -348,6 +391,7 @@ mod tests {
         let path = (0..=800).map(|k| f64::from(k) / 20.0).map(|time_s| AntennaPosition {
             time_s,
             position_m: way(time_s),
+            heading_rad: 0.0,
             covariance_m2: Matrix2::identity() * 1e-6,
             segment: 0,
         });
@@ -375,7 +419,7 @@ mod tests {
     fn a_clock_that_is_far_off_is_doubted() {
         let warning = |clock_s: f64, unused: usize| {
             let (path, record) = recorded(clock_s);
-            let mut found = georeference(&path, &record.fixes, record.clock_sigma_s).unwrap();
+            let mut found = georeference(&path, &record.fixes, record.clock_sigma_s, true).unwrap();
             assert!((found.clock_offset_s - clock_s).abs() < 0.1, "{}", found.clock_offset_s);
             found.fixes[10..10 + unused].fill(FixUse::Rejected(3.0));
             record.clock_warning(&path, &found)

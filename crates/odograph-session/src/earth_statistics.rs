@@ -1,5 +1,6 @@
 //! Where on Earth a run was, for `stats.json` and for people.
 
+use nalgebra::Vector2;
 use odograph::georeference::{FixUse, Georeference, GnssFix};
 use odograph::slam::DriftCorrection;
 use serde::Serialize;
@@ -47,6 +48,16 @@ pub struct EarthStatistics {
     /// Whether the positions showed that the path has drifted or is of another scale, and path and
     /// map are corrected.
     pub bent: bool,
+    /// The antenna ahead of the robot or the camera, metres, where it was not stated and the
+    /// positions show it.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub antenna_ahead_m: Option<f64>,
+    /// The same to the left.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub antenna_left_m: Option<f64>,
+    /// Its standard deviation, metres.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub sigma_antenna_m: Option<f64>,
     /// The receiver's time minus the camera's, seconds.
     pub clock_offset_s: f64,
     /// Its standard deviation, seconds.
@@ -68,7 +79,12 @@ pub struct GnssOutlier {
 const MAX_OUTLIERS: usize = 100;
 
 impl GnssStatistics {
-    pub(crate) fn of(fixes: &[GnssFix], found: &Georeference, bent: Option<DriftCorrection>) -> Self {
+    pub(crate) fn of(
+        fixes: &[GnssFix],
+        found: &Georeference,
+        antenna_m: Option<(Vector2<f64>, f64)>,
+        bent: Option<DriftCorrection>,
+    ) -> Self {
         // The path already has the metres that the map was bent to.
         let (scale, scale_sigma) = match bent {
             Some(bent) => (bent.scale * found.scale, bent.scale_sigma.hypot(found.scale_sigma)),
@@ -102,6 +118,9 @@ impl GnssStatistics {
                 scale,
                 sigma_scale: scale_sigma,
                 bent: bent.is_some(),
+                antenna_ahead_m: antenna_m.map(|(at_m, _)| at_m.x),
+                antenna_left_m: antenna_m.map(|(at_m, _)| at_m.y),
+                sigma_antenna_m: antenna_m.map(|(_, sigma_m)| sigma_m),
                 clock_offset_s: found.clock_offset_s,
                 sigma_clock_offset_s: found.clock_offset_sigma_s,
                 outliers: outliers.into_iter().take(MAX_OUTLIERS).collect(),

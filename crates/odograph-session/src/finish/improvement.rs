@@ -1,6 +1,6 @@
 //! The path after sensor fusion, loop closure and the satellite receiver.
 
-use crate::earth::{self, GnssRecord};
+use crate::earth::{self, Antenna, GnssRecord};
 use crate::kept_frames::KeptFrames;
 use crate::marker_statistics::MarkerStatistics;
 use crate::observer::Observer;
@@ -24,7 +24,9 @@ pub struct Improved {
     pub sensors: Vec<SensorReport>,
     pub loops: LoopStatistics,
     pub markers: Option<MarkerStatistics>,
-    /// What a satellite receiver changed of the map.
+    /// The antenna of a satellite receiver.
+    pub antenna: Antenna,
+    /// What it changed of the map.
     pub bent: Option<DriftCorrection>,
 }
 
@@ -54,13 +56,13 @@ impl Improved {
         tracked.mapping.finish();
         let moves = !reckoned.is_empty();
         let mut corrected = tracked.mapping.correct_frames(frames, moves, folder)?;
-        let mut bent = None;
+        let (mut bent, mut antenna) = (None, Antenna::stated(plan));
         if let Some(gnss) = gnss {
             let carrier = carrier_frames(plan, &tracked.recalibrated);
-            let antenna = plan.antenna.as_ref();
-            let measured = earth::measured_path(frames, &carrier, antenna)?;
-            let path =
-                earth::antenna_path(corrected.frames.as_mut().unwrap_or(&mut *frames), &carrier, antenna)?;
+            let placed = corrected.frames.as_mut().unwrap_or(&mut *frames);
+            antenna = gnss.locate(antenna, &earth::antenna_path(placed, &carrier, &antenna)?);
+            let path = earth::antenna_path(placed, &carrier, &antenna)?;
+            let measured = earth::measured_path(frames, &carrier, &antenna)?;
             bent = gnss
                 .antenna_fixes(&path, &measured)
                 .and_then(|(fixes, found)| tracked.mapping.correct_drift(&fixes, &found));
@@ -77,7 +79,15 @@ impl Improved {
             tracked.warnings.extend(warnings);
             statistics
         });
-        Ok(Self { corrected: corrected.frames.or(fused), reckoned, sensors: reports, loops, markers, bent })
+        Ok(Self {
+            corrected: corrected.frames.or(fused),
+            reckoned,
+            sensors: reports,
+            loops,
+            markers,
+            antenna,
+            bent,
+        })
     }
 
     /// Gives the final frames as poses of `pose_frames` to the observer.

@@ -310,8 +310,8 @@ impl Finishing<'_> {
             Some(gnss) => {
                 let carrier = carrier_frames(self.plan, &self.tracked.recalibrated);
                 let frames = improved.corrected.as_mut().unwrap_or(&mut self.tracked.frames);
-                let path = earth::antenna_path(frames, &carrier, self.plan.antenna.as_ref())?;
-                Some(gnss.place(self.plan, &path, summaries, improved.bent))
+                let path = earth::antenna_path(frames, &carrier, &improved.antenna)?;
+                Some(gnss.place(self.plan, &improved.antenna, &path, summaries, improved.bent))
             }
             None => None,
         };

@@ -5,16 +5,35 @@ use super::{AntennaPosition, GnssFix};
 use crate::geometry::{GroundPoint, Sim2};
 use crate::motion::Random;
 use crate::numerics::{Loss, robust_variance, variance_of_mean_factor};
-use nalgebra::{Matrix2, Matrix5, SMatrix, Vector2, Vector5};
+use nalgebra::{Matrix2, SMatrix, SVector, Vector2};
 use std::f64::consts::PI;
 
 /// The unknowns: direction of the map's x, counter-clockwise from east; east and north of the
-/// path's middle; the receiver's time less the camera's; logarithm of the scale.
+/// path's middle; the receiver's time less the camera's; logarithm of the scale; the antenna ahead
+/// and to the left of where it was taken to be.
 pub const HEADING: usize = 0;
 pub const EAST: usize = 1;
 const NORTH: usize = 2;
 pub const CLOCK: usize = 3;
 pub const SCALE: usize = 4;
+pub const ANTENNA: usize = 5;
+const UNKNOWNS: usize = 7;
+
+/// Covariance or information of the unknowns.
+pub type Unknowns = SMatrix<f64, UNKNOWNS, UNKNOWNS>;
+
+/// Which unknowns are estimated beside the placement and the clock.
+#[derive(Debug, Clone, Copy, Default)]
+struct Freedom {
+    scale: bool,
+    antenna: bool,
+}
+
+impl Freedom {
+    fn unknowns(self) -> f64 {
+        4.0 + f64::from(u8::from(self.scale)) + 2.0 * f64::from(u8::from(self.antenna))
+    }
+}
 
 /// A fix with the path at its time.
 #[derive(Debug, Clone, Copy)]
@@ -24,6 +43,8 @@ pub struct FixPair {
     /// The antenna in the map.
     pub position_m: Vector2<f64>,
     velocity_m_s: Vector2<f64>,
+    /// Directions ahead and to the left in the map.
+    axes: Matrix2<f64>,
     path_covariance_m2: Matrix2<f64>,
     /// The fix in the tangent plane.
     in_plane_m: Vector2<f64>,
@@ -59,6 +80,7 @@ impl Pairing<'_> {
             fix,
             position_m: before.position_m + velocity_m_s * (time_s - before.time_s),
             velocity_m_s,
+            axes: rotation(after.heading_rad),
             path_covariance_m2: after.covariance_m2,
             in_plane_m: self.in_plane[fix],
             covariance_m2: self.fixes[fix].covariance_m2,
@@ -73,16 +95,22 @@ struct PlacementModel {
     middle_in_plane_m: Vector2<f64>,
     offset_s: f64,
     scale: f64,
+    antenna_m: Vector2<f64>,
+}
+
+fn rotation(angle_rad: f64) -> Matrix2<f64> {
+    let (sin, cos) = angle_rad.sin_cos();
+    Matrix2::new(cos, -sin, sin, cos)
 }
 
 impl PlacementModel {
     fn rotation(&self) -> Matrix2<f64> {
-        let (sin, cos) = self.heading_rad.sin_cos();
-        Matrix2::new(cos, -sin, sin, cos)
+        rotation(self.heading_rad)
     }
 
     fn residual(&self, pair: &FixPair, middle_m: Vector2<f64>) -> Vector2<f64> {
-        let arm = self.scale * (self.rotation() * (pair.position_m - middle_m));
+        let position_m = pair.position_m + pair.axes * self.antenna_m;
+        let arm = self.scale * (self.rotation() * (position_m - middle_m));
         pair.in_plane_m - self.middle_in_plane_m - arm
     }
 
@@ -99,7 +127,9 @@ pub struct Fitted {
     pub pose: Sim2,
     pub offset_s: f64,
     pub middle_m: Vector2<f64>,
-    pub covariance: Matrix5<f64>,
+    /// The antenna ahead and to the left of where it was taken to be, if the fixes show that.
+    pub antenna_m: Option<Vector2<f64>>,
+    pub covariance: Unknowns,
     pub used: Vec<FixPair>,
     /// Robust variance of the residuals of all fixes in units of the stated one.
     pub spread: f64,
@@ -108,7 +138,8 @@ pub struct Fitted {
 impl Fitted {
     /// A fix less where the path has it, metres east and north.
     pub fn residual(&self, pair: &FixPair) -> Vector2<f64> {
-        let there = self.pose.apply(GroundPoint::new(pair.position_m.x, pair.position_m.y));
+        let position_m = pair.position_m + pair.axes * self.antenna_m.unwrap_or_default();
+        let there = self.pose.apply(GroundPoint::new(position_m.x, position_m.y));
         pair.in_plane_m - Vector2::new(there.x_m, there.y_m)
     }
 }
@@ -118,23 +149,36 @@ impl Fitted {
 const GATE_SQUARED: f64 = 18.4;
 /// Standard deviations up to which a residual counts nearly in full.
 const LOSS: Loss = Loss::Cauchy(3.0);
-/// Reduction of the squared residuals by which a scale is shown; noise does so in one of a million
-/// recordings.
-const SCALE_SHOWN: f64 = 25.0;
+/// Reduction of the squared residuals by which a scale or another place of the antenna is shown;
+/// noise does so in one of a million recordings, or of a quarter of a million.
+const SHOWN: f64 = 25.0;
 /// Standard deviation of a scale: of a height measured with a tape.
 const SCALE_SIGMA: f64 = 0.03;
+/// Standard deviation of the place of an antenna that is not stated, metres: a robot is about as
+/// large.
+const ANTENNA_SIGMA_M: f64 = 0.5;
 
-/// The estimate; `None` if no fix falls on the path.
-pub fn fit(pairing: &Pairing<'_>, clock_sigma_s: f64) -> Option<Fitted> {
+/// The estimate; `None` if no fix falls on the path. The place of the antenna is estimated if
+/// `may_be_elsewhere`.
+pub fn fit(pairing: &Pairing<'_>, clock_sigma_s: f64, may_be_elsewhere: bool) -> Option<Fitted> {
     let (start, middle_m) = sampled(pairing, clock_sigma_s)?;
     let solver = Solver { pairing, middle_m, clock_sigma_s };
-    let rigid = solver.solve(start, false, None)?;
-    let scaled = solver.solve(rigid.model, true, None)?;
-    let cost = |of: &Solution| of.squares.iter().map(|s| LOSS.of_square(s / scaled.variance)).sum::<f64>();
-    let correlated = (scaled.spread / scaled.variance * scaled.correlation(middle_m)).max(1.0);
-    let gain = (cost(&rigid) - cost(&scaled)) / correlated;
-    let with_scale = gain > SCALE_SHOWN;
-    let mut solution = if with_scale { scaled } else { rigid };
+    let (mut free, mut solution) = (Freedom::default(), solver.solve(start, Freedom::default(), None)?);
+    // The freedom that explains most comes first: an antenna beside the camera looks like a scale
+    // on a path that turns to one side.
+    for _ in 0..2 {
+        let freer = [Freedom { antenna: true, ..free }, Freedom { scale: true, ..free }];
+        let is_open =
+            |next: &Freedom| next.unknowns() > free.unknowns() && (may_be_elsewhere || !next.antenna);
+        let tried = freer.into_iter().filter(is_open).filter_map(|next| {
+            let found = solver.solve(solution.model, next, None)?;
+            Some((solution.gain_of(&found, middle_m), next, found))
+        });
+        match tried.max_by(|a, b| a.0.total_cmp(&b.0)) {
+            Some((gain, next, found)) if gain > SHOWN => (free, solution) = (next, found),
+            _ => break,
+        }
+    }
     let spread = solution.spread;
     // Without the outliers, until these stay the same.
     let mut used: Vec<bool> = Vec::new();
@@ -148,23 +192,24 @@ pub fn fit(pairing: &Pairing<'_>, clock_sigma_s: f64) -> Option<Fitted> {
             break;
         }
         used = now;
-        solution = Solution { variance, ..solver.solve(solution.model, with_scale, Some(&used))? };
+        solution = Solution { variance, ..solver.solve(solution.model, free, Some(&used))? };
     }
-    let unknowns = if with_scale { 5.0 } else { 4.0 };
-    let freedom = (2.0 * solution.pairs.len() as f64 - unknowns).max(1.0);
+    let freedom = (2.0 * solution.pairs.len() as f64 - free.unknowns()).max(1.0);
     let variance = solution.squares.iter().sum::<f64>() / freedom;
     // Residuals that are smaller than stated may be so by chance.
     let mut information = solution.information / (variance * solution.correlation(middle_m)).max(1.0);
-    solver.add_priors(&mut information, with_scale);
+    solver.add_priors(&mut information, free);
     let mut covariance = information.cholesky()?.inverse();
-    if !with_scale {
+    if !free.scale {
         covariance.row_mut(SCALE).fill(0.0);
         covariance.column_mut(SCALE).fill(0.0);
     }
     let model = solution.model;
     let origin = model.middle_in_plane_m - model.scale * (model.rotation() * middle_m);
     let pose = Sim2 { x_m: origin.x, y_m: origin.y, heading_rad: model.heading_rad, scale: model.scale };
-    Some(Fitted { pose, offset_s: model.offset_s, middle_m, covariance, used: solution.pairs, spread })
+    let antenna_m = free.antenna.then_some(model.antenna_m);
+    let (offset_s, used) = (model.offset_s, solution.pairs);
+    Some(Fitted { pose, offset_s, middle_m, antenna_m, covariance, used, spread })
 }
 
 /// Most rounds of rejecting outliers.
@@ -192,7 +237,7 @@ struct Solution {
     spread: f64,
     variance: f64,
     /// Of the pairs alone, with the stated variance.
-    information: Matrix5<f64>,
+    information: Unknowns,
 }
 
 /// Most iterations, and the change of an unknown in standard deviations at which they end.
@@ -201,7 +246,7 @@ const CONVERGED: f64 = 1e-4;
 
 impl Solver<'_> {
     /// Gauss–Newton with Cauchy's loss on all pairs, or by least squares on the `chosen` fixes.
-    fn solve(&self, start: PlacementModel, with_scale: bool, chosen: Option<&[bool]>) -> Option<Solution> {
+    fn solve(&self, start: PlacementModel, free: Freedom, chosen: Option<&[bool]>) -> Option<Solution> {
         let mut model = start;
         for iteration in 0.. {
             let mut pairs = self.pairing.at(model.offset_s);
@@ -211,13 +256,13 @@ impl Solver<'_> {
             let squares = squares?;
             let spread = robust_variance::<2>(&mut squares.clone())?;
             let variance = spread.max(1.0);
-            let (mut information, mut push) = (Matrix5::zeros(), Vector5::zeros());
+            let (mut information, mut push) = (Unknowns::zeros(), SVector::<f64, UNKNOWNS>::zeros());
             for (pair, square) in pairs.iter().zip(&squares) {
                 let weight = match chosen {
                     Some(_) => 1.0,
                     None => LOSS.weight_of_square(square / variance),
                 };
-                let jacobian = self.jacobian(&model, pair, with_scale);
+                let jacobian = self.jacobian(&model, pair, free);
                 let weighted = jacobian.transpose() * model.covariance(pair).try_inverse()? * weight;
                 information += weighted * jacobian;
                 push += weighted * model.residual(pair, self.middle_m);
@@ -227,10 +272,14 @@ impl Solver<'_> {
             }
             let mut with_priors = information / variance;
             let mut push = push / variance;
-            self.add_priors(&mut with_priors, with_scale);
+            self.add_priors(&mut with_priors, free);
             push[CLOCK] -= model.offset_s / self.clock_sigma_s.powi(2);
-            if with_scale {
+            if free.scale {
                 push[SCALE] -= model.scale.ln() / SCALE_SIGMA.powi(2);
+            }
+            if free.antenna {
+                push[ANTENNA] -= model.antenna_m.x / ANTENNA_SIGMA_M.powi(2);
+                push[ANTENNA + 1] -= model.antenna_m.y / ANTENNA_SIGMA_M.powi(2);
             }
             let change = with_priors.cholesky()?.solve(&push);
             if !change.iter().all(|value| value.is_finite()) {
@@ -244,29 +293,50 @@ impl Solver<'_> {
             // No further than the deviation in one step: the path is linear only nearby.
             model.offset_s += change[CLOCK].clamp(-self.clock_sigma_s, self.clock_sigma_s);
             model.scale *= change[SCALE].clamp(-0.1, 0.1).exp();
+            model.antenna_m += Vector2::new(change[ANTENNA], change[ANTENNA + 1]);
         }
         None
     }
 
     /// Derivative of where the path has a fix.
-    fn jacobian(&self, model: &PlacementModel, pair: &FixPair, with_scale: bool) -> SMatrix<f64, 2, 5> {
+    fn jacobian(&self, model: &PlacementModel, pair: &FixPair, free: Freedom) -> SMatrix<f64, 2, UNKNOWNS> {
         let turned = model.scale * model.rotation();
-        let arm = turned * (pair.position_m - self.middle_m);
+        let arm = turned * (pair.position_m + pair.axes * model.antenna_m - self.middle_m);
         let by_clock = -(turned * pair.velocity_m_s);
-        let by_scale = if with_scale { arm } else { Vector2::zeros() };
-        SMatrix::from_columns(&[Vector2::new(-arm.y, arm.x), Vector2::x(), Vector2::y(), by_clock, by_scale])
+        let by_scale = if free.scale { arm } else { Vector2::zeros() };
+        let by_antenna = if free.antenna { turned * pair.axes } else { Matrix2::zeros() };
+        SMatrix::from_columns(&[
+            Vector2::new(-arm.y, arm.x),
+            Vector2::x(),
+            Vector2::y(),
+            by_clock,
+            by_scale,
+            by_antenna.column(0).into_owned(),
+            by_antenna.column(1).into_owned(),
+        ])
     }
 
     /// Nothing is known of the direction, which keeps the matrix regular where the path has no
     /// extent.
-    fn add_priors(&self, information: &mut Matrix5<f64>, with_scale: bool) {
+    fn add_priors(&self, information: &mut Unknowns, free: Freedom) {
+        let prior = |is_free: bool, sigma: f64| if is_free { 1.0 / (sigma * sigma) } else { 1.0 };
         information[(HEADING, HEADING)] += 1.0 / (PI * PI);
         information[(CLOCK, CLOCK)] += 1.0 / self.clock_sigma_s.powi(2);
-        information[(SCALE, SCALE)] += if with_scale { 1.0 / SCALE_SIGMA.powi(2) } else { 1.0 };
+        information[(SCALE, SCALE)] += prior(free.scale, SCALE_SIGMA);
+        for k in [ANTENNA, ANTENNA + 1] {
+            information[(k, k)] += prior(free.antenna, ANTENNA_SIGMA_M);
+        }
     }
 }
 
 impl Solution {
+    /// By how much a freer one lowers the robust cost.
+    fn gain_of(&self, freer: &Self, middle_m: Vector2<f64>) -> f64 {
+        let cost = |of: &Self| of.squares.iter().map(|s| LOSS.of_square(s / freer.variance)).sum::<f64>();
+        let correlated = (freer.spread / freer.variance * freer.correlation(middle_m)).max(1.0);
+        (cost(self) - cost(freer)) / correlated
+    }
+
     /// The [`variance_of_mean_factor`] of the residuals.
     fn correlation(&self, middle_m: Vector2<f64>) -> f64 {
         let reach = GATE_SQUARED * self.variance;
@@ -322,8 +392,13 @@ fn sampled(pairing: &Pairing<'_>, clock_sigma_s: f64) -> Option<(PlacementModel,
             } else {
                 0.0
             };
-            let mut model =
-                PlacementModel { heading_rad, middle_in_plane_m: Vector2::zeros(), offset_s, scale: 1.0 };
+            let mut model = PlacementModel {
+                heading_rad,
+                middle_in_plane_m: Vector2::zeros(),
+                offset_s,
+                scale: 1.0,
+                antenna_m: Vector2::zeros(),
+            };
             model.middle_in_plane_m = 0.5 * (model.residual(a, middle_m) + model.residual(b, middle_m));
             let cost =
                 own + judges.iter().map(|pair| sample_cost(&model, pair, middle_m, tolerated_s)).sum::<f64>();

@@ -51,6 +51,8 @@ pub struct AntennaPosition {
     pub time_s: f64,
     /// World x and y, metres.
     pub position_m: Vector2<f64>,
+    /// Heading of the robot or, where its place on it is not known, of the camera, radians.
+    pub heading_rad: f64,
     /// Their covariance relative to the start of the run, square metres.
     pub covariance_m2: Matrix2<f64>,
     /// Number of tracking gaps before it.
@@ -87,6 +89,9 @@ pub struct Georeference {
     pub scale: f64,
     /// Its standard deviation; 0 where it was not estimated.
     pub scale_sigma: f64,
+    /// The antenna ahead and to the left of where the path has it, metres, and the larger standard
+    /// deviation; `None` if it was not sought or the fixes do not show it.
+    pub antenna_m: Option<(Vector2<f64>, f64)>,
     /// The receiver's time less the camera's, seconds.
     pub clock_offset_s: f64,
     /// Its standard deviation, seconds.
@@ -174,7 +179,8 @@ const HEADING_KNOWN_RAD: f64 = 10.0 * PI / 180.0;
 /// Places a path on Earth.
 ///
 /// `path` is in order of time. `clock_sigma_s` is the standard deviation of the receiver's time
-/// less the camera's, which is estimated where the path shows it.
+/// less the camera's, which is estimated where the path shows it. If `antenna_is_known` is false,
+/// the antenna may be elsewhere on the robot, which turns reveal.
 ///
 /// # Errors
 /// The reason why the path has no place.
@@ -182,6 +188,7 @@ pub fn georeference(
     path: &[AntennaPosition],
     fixes: &[GnssFix],
     clock_sigma_s: f64,
+    antenna_is_known: bool,
 ) -> Result<Georeference, Unplaced> {
     let plane = plane_of(fixes).ok_or(Unplaced::TooFew { fixes: 0 })?;
     let in_plane: Vec<Vector2<f64>> = fixes.iter().map(|fix| Vector2::from(plane.point(fix.place))).collect();
@@ -190,7 +197,8 @@ pub fn georeference(
     if on_path < FEWEST {
         return Err(Unplaced::TooFew { fixes: on_path });
     }
-    let found = fit::fit(&pairing, clock_sigma_s).ok_or(Unplaced::TooFew { fixes: on_path })?;
+    let found =
+        fit::fit(&pairing, clock_sigma_s, !antenna_is_known).ok_or(Unplaced::TooFew { fixes: on_path })?;
     let Fitted { pose, offset_s, middle_m, covariance, used, .. } = &found;
     let agree = used.len();
     if agree < FEWEST || 2 * agree < on_path {
@@ -219,6 +227,10 @@ pub fn georeference(
         shift_covariance_m2: covariance.fixed_view::<2, 2>(fit::EAST, fit::EAST) + common(used),
         scale: pose.scale,
         scale_sigma: covariance[(fit::SCALE, fit::SCALE)].sqrt(),
+        antenna_m: found.antenna_m.map(|at_m| {
+            let covariance = covariance.fixed_view::<2, 2>(fit::ANTENNA, fit::ANTENNA);
+            (at_m, covariance.symmetric_eigenvalues().max().sqrt())
+        }),
         clock_offset_s: *offset_s,
         clock_offset_sigma_s: covariance[(fit::CLOCK, fit::CLOCK)].sqrt(),
         rmse_m: (squares_m2 / agree as f64).sqrt(),

@@ -13,6 +13,12 @@ fn way(time_s: f64) -> Vector2<f64> {
     Vector2::new(14.0 * a.sin() + 1.5 * b.sin(), 8.0 * (2.0 * a).sin() + 1.5 * (1.0 - b.cos()))
 }
 
+/// The direction of travel.
+fn heading_rad(time_s: f64) -> f64 {
+    let step = way(time_s + 1e-3) - way(time_s - 1e-3);
+    step.y.atan2(step.x)
+}
+
 /// The path as the camera measured it: exact to a millimetre, its metre `1 / scale` metres long.
 fn path(scale: f64) -> Vec<AntennaPosition> {
     let at = |k: usize| {
@@ -20,6 +26,7 @@ fn path(scale: f64) -> Vec<AntennaPosition> {
         AntennaPosition {
             time_s,
             position_m: way(time_s) / scale,
+            heading_rad: heading_rad(time_s),
             covariance_m2: Matrix2::identity() * 1e-6,
             segment: 0,
         }
@@ -118,7 +125,7 @@ fn rtk_places_a_path_to_a_centimetre_in_spite_of_reflections_and_a_late_clock() 
     for seed in 0..8 {
         let receiver = Receiver { multipath: 0.1, clock_offset_s: 0.07, ..RTK };
         let (fixes, reflections) = received(&receiver, seed);
-        let found = georeference(&path, &fixes, 0.2).unwrap();
+        let found = georeference(&path, &fixes, 0.2, true).unwrap();
         let off_m = rms(&errors(&found, &path));
         assert!(off_m < 0.01 && turned_by(&found).abs() < 1e-3, "{off_m} {}", turned_by(&found));
         assert!((found.clock_offset_s - 0.07).abs() < 0.01, "{}", found.clock_offset_s);
@@ -145,7 +152,7 @@ fn metres_of_noise_leave_the_shape_as_it_is() {
     let path = path(1.0);
     let receiver = Receiver { sigma_m: 2.0, per_s: 1.0, multipath: 0.1, ..RTK };
     for seed in 0..8 {
-        let found = georeference(&path, &received(&receiver, seed).0, 0.2).unwrap();
+        let found = georeference(&path, &received(&receiver, seed).0, 0.2, true).unwrap();
         let placed: Vec<Vector2<f64>> = path
             .iter()
             .map(|at| Vector2::from(plane().point(found.anchor.place(at.position_m.x, at.position_m.y))))
@@ -165,7 +172,7 @@ fn consistency(receiver: &Receiver) -> [f64; 2] {
     let (path, seeds) = (path(1.0), 40);
     let mut sums = [0.0; 2];
     for seed in 0..seeds {
-        let found = georeference(&path, &received(receiver, 100 + seed).0, 0.2).unwrap();
+        let found = georeference(&path, &received(receiver, 100 + seed).0, 0.2, true).unwrap();
         sums[0] += (turned_by(&found) / found.heading_sigma_rad).powi(2) / seeds as f64;
         let errors = errors(&found, &path);
         let mean = errors.iter().sum::<Vector2<f64>>() / errors.len() as f64;
@@ -190,21 +197,43 @@ fn the_stated_deviations_are_those_of_the_errors() {
 }
 
 #[test]
+fn an_antenna_beside_the_camera_is_found_and_is_no_scale() {
+    let truth_m = Vector2::new(-0.1, 0.3);
+    let there = |path: Vec<AntennaPosition>| -> Vec<AntennaPosition> {
+        let moved = |at: AntennaPosition| {
+            let (s, c) = at.heading_rad.sin_cos();
+            let arm = Vector2::new(c * truth_m.x - s * truth_m.y, s * truth_m.x + c * truth_m.y);
+            AntennaPosition { position_m: at.position_m - arm, ..at }
+        };
+        path.into_iter().map(moved).collect()
+    };
+    let path = there(path(1.0));
+    let fixes = received(&Receiver { multipath: 0.05, ..RTK }, 5).0;
+    let found = georeference(&path, &fixes, 0.2, false).unwrap();
+    let (at_m, sigma_m) = found.antenna_m.unwrap();
+    assert!((at_m - truth_m).norm() < 4.0 * sigma_m && sigma_m < 0.01, "{at_m} ± {sigma_m}");
+    assert_eq!(found.scale, 1.0);
+    // It is not sought where it is known, nor shown where it is right.
+    assert_eq!(georeference(&path, &fixes, 0.2, true).unwrap().antenna_m, None);
+    assert_eq!(georeference(&self::path(1.0), &fixes, 0.2, false).unwrap().antenna_m, None);
+}
+
+#[test]
 fn a_scale_is_estimated_only_where_it_is_shown() {
     let path = path(1.01);
-    let found = georeference(&path, &received(&Receiver { multipath: 0.1, ..RTK }, 3).0, 0.2).unwrap();
+    let found = georeference(&path, &received(&Receiver { multipath: 0.1, ..RTK }, 3).0, 0.2, true).unwrap();
     assert!((found.scale - 1.01).abs() < 4.0 * found.scale_sigma && found.scale_sigma < 1e-3, "{found:?}");
     let off_m = rms(&errors(&found, &path));
     assert!(off_m < 0.01, "{off_m}");
     let metres = Receiver { sigma_m: 2.0, per_s: 1.0, ..RTK };
-    assert_eq!(georeference(&path, &received(&metres, 3).0, 0.2).unwrap().scale, 1.0);
+    assert_eq!(georeference(&path, &received(&metres, 3).0, 0.2, true).unwrap().scale, 1.0);
 }
 
 #[test]
 fn a_start_that_a_person_states_is_corrected() {
     let path = path(1.0);
     let receiver = Receiver { sigma_m: 0.3, per_s: 1.0, clock_offset_s: -1.7, multipath: 0.1, ..RTK };
-    let found = georeference(&path, &received(&receiver, 9).0, 1.0).unwrap();
+    let found = georeference(&path, &received(&receiver, 9).0, 1.0, true).unwrap();
     assert!((found.clock_offset_s + 1.7).abs() < 0.3, "{}", found.clock_offset_s);
 }
 
@@ -212,18 +241,18 @@ fn a_start_that_a_person_states_is_corrected() {
 fn what_cannot_be_placed_has_a_reason() {
     let path = path(1.0);
     let (fixes, _) = received(&Receiver { per_s: 1.0, ..RTK }, 1);
-    assert_eq!(georeference(&path, &fixes[..2], 0.2), Err(Unplaced::TooFew { fixes: 2 }));
-    assert_eq!(georeference(&path, &[], 0.2), Err(Unplaced::TooFew { fixes: 0 }));
-    assert_eq!(georeference(&[], &fixes, 0.2), Err(Unplaced::TooFew { fixes: 0 }));
-    assert!(georeference(&path, &fixes[..3], 0.2).is_ok());
+    assert_eq!(georeference(&path, &fixes[..2], 0.2, true), Err(Unplaced::TooFew { fixes: 2 }));
+    assert_eq!(georeference(&path, &[], 0.2, true), Err(Unplaced::TooFew { fixes: 0 }));
+    assert_eq!(georeference(&[], &fixes, 0.2, true), Err(Unplaced::TooFew { fixes: 0 }));
+    assert!(georeference(&path, &fixes[..3], 0.2, true).is_ok());
     // Another day.
     let late: Vec<GnssFix> = fixes.iter().map(|fix| GnssFix { time_s: fix.time_s + 1e5, ..*fix }).collect();
-    assert_eq!(georeference(&path, &late, 0.2), Err(Unplaced::TooFew { fixes: 0 }));
+    assert_eq!(georeference(&path, &late, 0.2, true), Err(Unplaced::TooFew { fixes: 0 }));
     // A robot that stands still, and fixes about it.
     let standing: Vec<AntennaPosition> =
         path.iter().map(|at| AntennaPosition { position_m: Vector2::zeros(), ..*at }).collect();
     let here: Vec<GnssFix> = fixes.iter().map(|fix| GnssFix { place: fixes[0].place, ..*fix }).collect();
-    let unknown = georeference(&standing, &here, 0.2).unwrap_err();
+    let unknown = georeference(&standing, &here, 0.2, true).unwrap_err();
     assert!(matches!(unknown, Unplaced::NoHeading { .. }), "{unknown}");
     // The fixes of another drive.
     let mut random = Random::new(4);
@@ -231,7 +260,7 @@ fn what_cannot_be_placed_has_a_reason() {
         .iter()
         .map(|fix| GnssFix { place: plane().place([(); 2].map(|()| 20.0 * normal(&mut random))), ..*fix })
         .collect();
-    let unknown = georeference(&path, &elsewhere, 0.2);
+    let unknown = georeference(&path, &elsewhere, 0.2, true);
     assert!(unknown.is_err(), "{unknown:?}");
     // Numbers that no receiver gives.
     let odd = EarthPosition { latitude_rad: -1.2, longitude_rad: 9.0 };
@@ -240,5 +269,5 @@ fn what_cannot_be_placed_has_a_reason() {
         .enumerate()
         .map(|(k, fix)| GnssFix { place: if k % 2 == 0 { odd } else { fix.place }, ..*fix })
         .collect();
-    let _ = georeference(&path, &odd, 0.2);
+    let _ = georeference(&path, &odd, 0.2, true);
 }
