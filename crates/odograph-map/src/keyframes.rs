@@ -92,8 +92,9 @@ impl MapFile {
         origin::number_of(&self.connection, keyframe).while_reading(&self.complaint)
     }
 
-    /// Adds a keyframe with the image that another map of the same camera has under `there`, copied
-    /// without re-encoding.
+    /// Adds a keyframe with the image that another map has under `there`, copied without
+    /// re-encoding, and with the number that its robot gave it, if it did. The session has the
+    /// camera that it has there.
     ///
     /// Fails as [`MapFile::add_keyframe`], and if the other map has no such image. The image is not
     /// decoded or checked.
@@ -104,7 +105,7 @@ impl MapFile {
         there: KeyframeId,
         edges: &[MapEdge],
     ) -> Result<()> {
-        self.store(keyframe, None, &other.stored_image(there)?, edges)
+        self.store(keyframe, other.number_of(there)?, &other.stored_image(there)?, edges)
     }
 
     fn store(
