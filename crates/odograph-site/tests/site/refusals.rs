@@ -232,6 +232,35 @@ fn a_stored_record_that_cannot_be_used_quarantines_its_robot_alone() {
 }
 
 #[test]
+fn a_site_that_merges_nothing_any_more_says_so() {
+    let folder = tempfile::tempdir().unwrap();
+    let place = folder.path().join("site");
+    let (origin, description, records) = sent(folder.path());
+    let served = Served::new(&place);
+    // No map can be made here.
+    std::fs::create_dir(place.join("map.gpkg")).unwrap();
+    assert_eq!(served.post("/sessions", description.to_string().as_bytes()).0, 200);
+    let path = format!("/records/{}/{}", origin.robot, origin.key);
+    assert_eq!(served.post(&path, &records[..3].concat()).0, 200);
+    served.site.wait_until_settled();
+    let failure = served.site.failure().unwrap();
+    assert!(failure.contains("map.gpkg"), "{failure}");
+    assert_eq!(served.site.page()["failure"], json!(failure));
+    assert_eq!(served.site.page()["robots"]["one"]["state"], "active", "it is not the robot");
+    assert_eq!(served.post("/robots/one/withdraw", b"").1["failure"], json!(failure));
+    let client = odograph_site::SiteClient::new(served.server.url().parse().unwrap());
+    let complaint = client.set_robot("one", "restore").unwrap_err().to_string();
+    assert!(complaint.contains("not carried out") && complaint.contains(&failure), "{complaint}");
+    served.site.close();
+    drop(served);
+    // What it acknowledged is merged by the next.
+    std::fs::remove_dir(place.join("map.gpkg")).unwrap();
+    let served = Served::new(&place);
+    served.site.wait_until_settled();
+    assert_eq!((served.site.failure(), &served.site.page()["sessions"][0]["keyframes"]), (None, &json!(3)));
+}
+
+#[test]
 fn the_folder_of_a_run_is_not_served() {
     let folder = tempfile::tempdir().unwrap();
     let camera = crate::robots::Robot::first().camera;
