@@ -53,7 +53,11 @@ impl Complaint {
             Some(ErrorCode::SystemIoFailure) => Error::output(format!(
                 "{path} cannot be written: {failure}; the disk is full or has failed: choose another place"
             )),
-            _ => Error::output(format!("{path} cannot be written: {failure}")),
+            // Not the disk: what was to be written is nothing that a map holds.
+            None | Some(ErrorCode::TooBig | ErrorCode::TypeMismatch | ErrorCode::ConstraintViolation) => {
+                Error::input(format!("{path} cannot be written: {failure}"))
+            }
+            Some(_) => Error::output(format!("{path} cannot be written: {failure}")),
         }
     }
 

@@ -6,7 +6,7 @@ use crate::file::MapFile;
 use crate::geopackage::{self, Extent, point_geometry};
 use crate::image::{self, StoredImage};
 use crate::markers::{self, MapMarker};
-use crate::numbers::{bytes_from_symmetric, symmetric_from_bytes};
+use crate::numbers::{bytes_from_symmetric, is_covariance, symmetric_from_bytes};
 use crate::origin;
 use crate::paths::{self, KeyframeMove, PathFrame, corrected_path};
 use crate::pose_columns::{is_pose, pose_from};
@@ -44,8 +44,8 @@ impl MapFile {
     /// Adds a keyframe with its image and the edges that connect it to the map, in one transaction:
     /// all of it is stored when this returns, or nothing.
     ///
-    /// Fails if the id has been used before, the image does not have the camera's size, or a pose
-    /// is not finite.
+    /// Fails if the id has been used before, the image does not have the camera's size, a pose is
+    /// not finite, or the covariance is none.
     pub fn add_keyframe(
         &mut self,
         keyframe: &MapKeyframe,
@@ -72,7 +72,7 @@ impl MapFile {
     /// has it.
     ///
     /// Fails if the id has been used before, the image cannot be decoded or does not have the size
-    /// of the session's camera, or a pose is not finite.
+    /// of the session's camera, a pose is not finite, or the covariance is none.
     pub fn add_numbered_keyframe(
         &mut self,
         keyframe: &MapKeyframe,
@@ -92,8 +92,9 @@ impl MapFile {
         origin::number_of(&self.connection, keyframe).while_reading(&self.complaint)
     }
 
-    /// Adds a keyframe with the image that another map of the same camera has under `there`, copied
-    /// without re-encoding.
+    /// Adds a keyframe with the image that another map has under `there`, copied without
+    /// re-encoding, and with the number that its robot gave it, if it did. The session has the
+    /// camera that it has there.
     ///
     /// Fails as [`MapFile::add_keyframe`], and if the other map has no such image. The image is not
     /// decoded or checked.
@@ -104,7 +105,7 @@ impl MapFile {
         there: KeyframeId,
         edges: &[MapEdge],
     ) -> Result<()> {
-        self.store(keyframe, None, &other.stored_image(there)?, edges)
+        self.store(keyframe, other.number_of(there)?, &other.stored_image(there)?, edges)
     }
 
     fn store(
@@ -114,12 +115,15 @@ impl MapFile {
         image: &StoredImage,
         edges: &[MapEdge],
     ) -> Result<()> {
-        let whole = [&keyframe.pose, &keyframe.odometry_pose].into_iter().all(is_pose)
-            && keyframe.time_s.is_finite()
-            && keyframe.covariance.iter().all(|value| value.is_finite());
-        if !whole {
-            let id = keyframe.id.0;
-            return Err(self.complaint.usage(format!("keyframe {id} has a pose that is not finite")));
+        let whole =
+            [&keyframe.pose, &keyframe.odometry_pose].into_iter().all(is_pose) && keyframe.time_s.is_finite();
+        let what = match whole {
+            false => Some("a pose that is not finite"),
+            true if !is_covariance(&keyframe.covariance) => Some("a covariance that is none"),
+            true => None,
+        };
+        if let Some(what) = what {
+            return Err(self.complaint.usage(format!("keyframe {} has {what}", keyframe.id.0)));
         }
         let transaction = self.connection.transaction().while_writing(&self.complaint)?;
         insert(&transaction, keyframe, image)

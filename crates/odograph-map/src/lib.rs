@@ -39,6 +39,7 @@ pub use image::StoredImage;
 pub use landmarks::MapLandmark;
 pub use markers::MapMarker;
 pub use mosaic::MosaicLayer;
+pub use numbers::is_covariance;
 pub use origin::{SessionOrigin, check_name};
 pub use outbox::{Outbox, OutgoingRecord};
 pub use paths::{KeyframeMove, PathFrame, corrected_path};

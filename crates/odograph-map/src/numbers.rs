@@ -14,8 +14,14 @@ pub(crate) fn bytes_from_symmetric<const N: usize>(matrix: &SMatrix<f64, N, N>) 
     bytes
 }
 
-/// Decodes a symmetric matrix; `None` if the length is wrong, a number is not finite, or a variance
-/// is negative.
+/// Whether this can be stored as a covariance: its numbers are finite, and no variance is negative.
+/// A map with any other is not read.
+pub fn is_covariance<const N: usize>(matrix: &SMatrix<f64, N, N>) -> bool {
+    matrix.iter().all(|value| value.is_finite()) && (0..N).all(|at| matrix[(at, at)] >= 0.0)
+}
+
+/// Decodes a symmetric matrix; `None` if the length is wrong or it is no covariance
+/// ([`is_covariance`]).
 pub(crate) fn symmetric_from_bytes<const N: usize>(bytes: &[u8]) -> Option<SMatrix<f64, N, N>> {
     if bytes.len() != 4 * N * (N + 1) {
         return None;
@@ -25,14 +31,11 @@ pub(crate) fn symmetric_from_bytes<const N: usize>(bytes: &[u8]) -> Option<SMatr
     let mut matrix = SMatrix::zeros();
     for row in 0..N {
         for column in row..N {
-            let value = numbers.next().filter(|value| value.is_finite())?;
+            let value = numbers.next()?;
             (matrix[(row, column)], matrix[(column, row)]) = (value, value);
         }
-        if matrix[(row, row)] < 0.0 {
-            return None;
-        }
     }
-    Some(matrix)
+    is_covariance(&matrix).then_some(matrix)
 }
 
 #[cfg(test)]

@@ -117,11 +117,28 @@ impl SiteClient {
     /// Withdraws, restores or trusts a robot: `action` is that word.
     ///
     /// # Errors
-    /// If the site cannot be reached, or refuses.
+    /// If the site cannot be reached, refuses, or keeps the decision but merges nothing any more.
     pub fn set_robot(&self, robot: &str, action: &str) -> Result<()> {
         odograph_map::check_name(robot)?;
         let done = self.request("POST", &format!("/robots/{robot}/{action}"), &[]);
-        done.map(drop).map_err(|why| self.error(&why))
+        let answer: Value = done.and_then(|body| parsed(&body)).map_err(|why| self.error(&why))?;
+        match self.failure_in(&answer) {
+            Some(failure) => {
+                Err(Error::input(format!("the decision is kept and not carried out: {failure}")))
+            }
+            None => Ok(()),
+        }
+    }
+
+    /// The sentence about a site that merges nothing any more, where an answer says so.
+    pub fn failure_in(&self, answer: &Value) -> Option<String> {
+        let failure: String =
+            answer["failure"].as_str()?.chars().filter(|letter| !letter.is_control()).collect();
+        Some(format!(
+            "the site at {} merges nothing any more: {failure}; put that right, and start odograph site serve \
+             there again",
+            self.address
+        ))
     }
 
     pub(crate) fn describe(

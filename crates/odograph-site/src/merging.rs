@@ -4,7 +4,7 @@ use crate::fleet_map::FleetMap;
 use crate::protocol::{RobotState, SessionDescription};
 use crate::published::Published;
 use crate::records::{RecordStore, StoredSession};
-use odograph::error::{ErrorKind, Result};
+use odograph::error::{Error, ErrorKind, Result};
 use odograph::slam::SessionScale;
 use odograph_map::{MapClaim, SessionOrigin};
 use std::collections::BTreeMap;
@@ -179,15 +179,11 @@ impl Merger {
             if !is_active || is_known {
                 continue;
             }
-            let record = self.records.record(sequence)?;
-            let map = match &mut self.map {
-                Some(map) => map,
-                none => none.insert(FleetMap::create(&self.claim, &description)?),
-            };
             merged += 1;
-            match map.add(&description, record) {
+            match self.merge(&description, sequence) {
                 // The disk may have room again when the site is started again.
                 Err(error) if error.kind() == ErrorKind::Output => return Err(error),
+                // What the record itself is: the other robots are merged without it.
                 Err(error) => {
                     let reason = format!("record {number} of session {} cannot be used: {error}", origin.key);
                     self.records.set_robot(&origin.robot, RobotState::Quarantined, Some(&reason))?;
@@ -207,6 +203,20 @@ impl Merger {
             }
         }
         Ok(!next.is_empty())
+    }
+
+    /// Merges a record. An error that is not of the kind `Output` is of the record.
+    fn merge(&mut self, description: &SessionDescription, sequence: i64) -> Result<()> {
+        let record = self.records.record(sequence)?;
+        let map = match &mut self.map {
+            Some(map) => map,
+            none => none.insert(
+                // Not the record: where no map can be made, that of no robot can.
+                FleetMap::create(&self.claim, description)
+                    .map_err(|error| Error::output(error.to_string()).caused_by(error))?,
+            ),
+        };
+        map.add(description, record)
     }
 
     fn session(&mut self, id: i64) -> Result<Option<&StoredSession>> {

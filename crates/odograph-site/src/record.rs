@@ -1,11 +1,11 @@
 //! A record as it is sent and stored: the length of a head (4 bytes, little-endian), the head as
 //! JSON, the length of an image (4 bytes), the image as JPEG.
 
-use nalgebra::{Matrix4, Matrix6, Vector4};
+use nalgebra::{Cholesky, Matrix2, Matrix4, Matrix6, SMatrix, Vector4};
 use odograph::error::{Error, Result};
 use odograph::geometry::GroundPose;
 use odograph::keyframe::{EdgeKind, KeyframeId, MapEdge};
-use odograph_map::{OutgoingRecord, StoredImage};
+use odograph_map::{OutgoingRecord, StoredImage, is_covariance};
 use serde::{Deserialize, Serialize};
 
 /// Longest head, bytes.
@@ -14,8 +14,19 @@ const MAX_HEAD: usize = 1 << 20;
 const MAX_IMAGE: usize = 12 << 20;
 /// Most edges of a record.
 const MAX_EDGES: usize = 4096;
-/// Largest accepted coordinate, metres, and time, seconds: a time in nanoseconds is beyond it.
-const FARTHEST: f64 = 1e12;
+/// Largest accepted time, seconds, variance and number of an image: a time in nanoseconds is beyond
+/// it.
+const LARGEST: f64 = 1e12;
+/// Largest accepted coordinate of a pose, metres: half the way around the Earth is twice as far.
+const FARTHEST_M: f64 = 1e7;
+/// Longest accepted motion between two keyframes, metres. Keyframes overlap, unless the robot was
+/// lost between them: at 30 m/s it goes this far in five minutes. A longer one would tear the map
+/// of all robots.
+const LONGEST_MOTION_M: f64 = 1e4;
+/// Largest accepted heading, radians: 160,000 turns, of which double precision still tells 1e-10.
+const MOST_TURNED_RAD: f64 = 1e6;
+/// What a correlation may exceed that of a covariance by, for rounding.
+const ROUNDING: f64 = 1e-6;
 
 /// A record of a session.
 #[derive(Debug, Clone, PartialEq)]
@@ -174,17 +185,19 @@ impl Record {
 
 impl KeyframeHead {
     fn is_sound(&self) -> bool {
-        let [.., height_m, roll, pitch] = self.pose;
-        let numbers = self.pose.iter().chain(&self.tilt_covariance).chain([
-            &self.time_s,
-            &self.luma_scale,
-            &self.luma_offset,
-        ]);
-        numbers.into_iter().all(|value| value.abs() < FARTHEST)
+        let [x_m, y_m, heading_rad, height_m, roll, pitch] = self.pose;
+        let [of_roll, both, of_pitch] = self.tilt_covariance;
+        let numbers = self.tilt_covariance.iter().chain([&self.time_s, &self.luma_scale, &self.luma_offset]);
+        numbers.into_iter().all(|value| value.abs() < LARGEST)
+            && [x_m, y_m, height_m].iter().all(|value| value.abs() < FARTHEST_M)
+            && heading_rad.abs() < MOST_TURNED_RAD
             && height_m > 0.0
             && roll.abs() < 1.6
             && pitch.abs() < 1.6
+            && is_semidefinite(&Matrix2::new(of_roll, both, both, of_pitch))
             && self.segment < 1 << 40
+            // The map counts with a sign.
+            && i64::try_from(self.frame).is_ok()
     }
 
     /// Number of its frame, number of gaps before it, and its time, seconds.
@@ -221,25 +234,30 @@ impl EdgeHead {
     fn is_sound(&self) -> bool {
         let [x_m, y_m, heading_rad, log_height_ratio] = self.motion;
         self.from != self.to
-            && [x_m, y_m, heading_rad].iter().all(|value| value.abs() < FARTHEST)
+            && [x_m, y_m].iter().all(|value| value.abs() < LONGEST_MOTION_M)
+            && heading_rad.abs() < MOST_TURNED_RAD
             && log_height_ratio.abs() < 10.0
-            && self.covariance.iter().all(|value| value.abs() < FARTHEST)
-            && triangle().zip(self.covariance).all(|((row, column), value)| row != column || value >= 0.0)
+            && self.covariance.iter().all(|value| value.abs() < LARGEST)
+            && is_semidefinite(&self.covariance_matrix())
     }
 
-    /// The edge between the keyframes of a map; `None` where that lacks one of them.
-    pub fn edge(&self, id: impl Fn(u64) -> Option<KeyframeId>) -> Option<MapEdge> {
+    fn covariance_matrix(&self) -> Matrix4<f64> {
         let mut covariance = Matrix4::zeros();
         for ((row, column), value) in triangle().zip(self.covariance) {
             covariance[(row, column)] = value;
             covariance[(column, row)] = value;
         }
+        covariance
+    }
+
+    /// The edge between the keyframes of a map; `None` where that lacks one of them.
+    pub fn edge(&self, id: impl Fn(u64) -> Option<KeyframeId>) -> Option<MapEdge> {
         Some(MapEdge {
             from: id(self.from)?,
             to: id(self.to)?,
             kind: self.kind,
             motion: Vector4::from(self.motion),
-            covariance,
+            covariance: self.covariance_matrix(),
         })
     }
 }
@@ -247,6 +265,21 @@ impl EdgeHead {
 /// Rows and columns of the upper triangle of a 4 x 4 matrix.
 fn triangle() -> impl Iterator<Item = (usize, usize)> {
     (0..4).flat_map(|row| (row..4).map(move |column| (row, column)))
+}
+
+/// Whether the map can store a covariance, and it is positive semidefinite but for rounding: its
+/// correlations have a Cholesky decomposition.
+fn is_semidefinite<const N: usize>(covariance: &SMatrix<f64, N, N>) -> bool {
+    let correlation = SMatrix::<f64, N, N>::from_fn(|row, column| {
+        let value = covariance[(row, column)];
+        match (covariance[(row, row)] * covariance[(column, column)]).sqrt() {
+            _ if row == column => 1.0 + ROUNDING,
+            deviations if value == 0.0 || deviations > 0.0 => value / deviations.max(f64::MIN_POSITIVE),
+            // What is certain varies with nothing.
+            _ => f64::INFINITY,
+        }
+    });
+    is_covariance(covariance) && Cholesky::new(correlation).is_some()
 }
 
 /// The part that bytes begin with, and the rest.
@@ -328,6 +361,27 @@ mod tests {
         assert!(refused(&|record| record.head.edges[0].from = 3));
         assert!(refused(&|record| record.head.edges[0].covariance[0] = -1.0));
         assert!(refused(&|record| record.head.edges[0].motion[1] = f64::NAN));
+        assert!(refused(&|record| record.head.edges[0].motion[0] = -2e4));
+        // Variances of 1e-6, and a correlation of 2.
+        assert!(refused(&|record| record.head.edges[0].covariance[1] = 2e-6));
+        assert!(!refused(&|record| record.head.edges[0].covariance[1] = 1e-6));
+        // Three that each go against the other two, with correlations that two could have.
+        assert!(refused(&|record| {
+            let covariance = &mut record.head.edges[0].covariance;
+            (covariance[1], covariance[2], covariance[5]) = (-0.9e-6, -0.9e-6, -0.9e-6);
+        }));
+        let with = |change: &dyn Fn(&mut KeyframeHead)| {
+            refused(&|record| change(record.head.keyframe.as_mut().unwrap()))
+        };
+        assert!(with(&|keyframe| keyframe.frame = 1 << 63));
+        assert!(!with(&|keyframe| keyframe.frame = (1 << 63) - 1));
+        assert!(with(&|keyframe| keyframe.pose[0] = 1e8));
+        for none in [[-1.0, 5.0, -1.0], [1e-6, 2e-6, 1e-6], [0.0, 1e-6, 1e-6]] {
+            assert!(with(&|keyframe| keyframe.tilt_covariance = none), "{none:?}");
+        }
+        for some in [[0.0; 3], [0.0, 0.0, 1e-6], [1e-6, 1e-6, 1e-6]] {
+            assert!(!with(&|keyframe| keyframe.tilt_covariance = some), "{some:?}");
+        }
         assert!(refused(&|record| record.head.keyframe.as_mut().unwrap().pose[3] = 0.0));
         assert!(refused(&|record| record.head.keyframe.as_mut().unwrap().time_s = 1e300));
         assert!(refused(&|record| record.head.keyframe = None));

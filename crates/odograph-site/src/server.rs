@@ -168,7 +168,10 @@ fn post(site: &Site, request: &Request, path: &str) -> Answer {
             _ => return Answer::refusal(NOT_FOUND),
         };
         return match site.set_robot(robot, state) {
-            Ok(true) => Answer::ok(JSON, json!({ "robot": robot, "state": state }).to_string()),
+            Ok(true) => {
+                let answer = json!({ "robot": robot, "state": state, "failure": site.failure() });
+                Answer::ok(JSON, answer.to_string())
+            }
             Ok(false) => problem(404, "Not Found", "the site knows no robot of this name"),
             Err(error) => problem(503, "Service Unavailable", &error.to_string()),
         };

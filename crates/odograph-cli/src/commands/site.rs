@@ -8,7 +8,7 @@ use odograph_map::{MapFile, Session};
 use odograph_site::{
     DEFAULT_PORT, LinkReport, Site, SiteAddress, SiteClient, SiteLink, SiteServer, SiteStatus,
 };
-use serde_json::json;
+use serde_json::{Value, json};
 use std::net::{IpAddr, Ipv4Addr, SocketAddr, TcpListener};
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
@@ -291,12 +291,26 @@ fn serve(arguments: &ServeSiteArguments) -> Result<Outcome> {
     if !arguments.quiet {
         console::note(&format!("the site is at {}; Ctrl-C ends it", server.url()));
     }
+    let mut is_told = false;
     while !interrupt::asked() {
+        if let Some(failure) = site.failure().filter(|_| !is_told) {
+            console::warn(&format!(
+                "nothing is merged any more: {failure}; what robots send is kept; put that right, and start the \
+                 site again"
+            ));
+            is_told = true;
+        }
         thread::sleep(Duration::from_millis(100));
     }
     drop(server);
     site.close();
-    Ok(Outcome::Done)
+    match site.failure() {
+        Some(failure) => Err(Error::output(format!(
+            "not everything is merged: {failure}; the records are kept, and the site merges them when it is started \
+             again"
+        ))),
+        None => Ok(Outcome::Done),
+    }
 }
 
 fn send(arguments: &SendArguments) -> Result<Outcome> {
@@ -325,11 +339,16 @@ fn send(arguments: &SendArguments) -> Result<Outcome> {
 }
 
 fn robots(arguments: &RobotsArguments) -> Result<Outcome> {
-    let state = SiteClient::new(arguments.site.clone()).state()?;
-    if arguments.json {
-        console::print(&format!("{state:#}\n"))?;
-        return Ok(Outcome::Done);
-    }
+    let client = SiteClient::new(arguments.site.clone());
+    let state = client.state()?;
+    let text = if arguments.json { format!("{state:#}\n") } else { list(&state) };
+    console::print(&text)?;
+    // Whoever reads the list must know that it is old.
+    client.failure_in(&state).map_or(Ok(Outcome::Done), |failure| Err(Error::input(failure)))
+}
+
+/// A line for each session.
+fn list(state: &Value) -> String {
     let mut text = String::new();
     for session in state["sessions"].as_array().into_iter().flatten() {
         let name = session["robot"].as_str().unwrap_or_default();
@@ -346,6 +365,5 @@ fn robots(arguments: &RobotsArguments) -> Result<Outcome> {
             session["keyframes"], session["records"], session["loops"]
         );
     }
-    console::print(&text)?;
-    Ok(Outcome::Done)
+    text
 }

@@ -48,16 +48,49 @@ impl Drop for Serving {
     }
 }
 
+fn drive() -> std::path::PathBuf {
+    let mut files = std::fs::read_dir(DEMO).unwrap().map(|entry| entry.unwrap().path());
+    files.find(|path| path.extension().is_some_and(|extension| extension == "mp4")).unwrap()
+}
+
+#[cfg(unix)]
+#[test]
+fn a_site_that_merges_nothing_any_more_ends_with_an_error() {
+    let folder = tempfile::tempdir().unwrap();
+    let folder = folder.path();
+    let mut child =
+        odograph(folder, "site serve hall --listen 127.0.0.1:0").stderr(Stdio::piped()).spawn().unwrap();
+    let mut lines = BufReader::new(child.stderr.take().unwrap()).lines().map_while(Result::ok);
+    let line = lines.find(|line| line.contains("the site is at ")).unwrap();
+    let url = line.split("the site is at ").nth(1).unwrap().split(';').next().unwrap().to_owned();
+    // No map can be made here.
+    std::fs::create_dir(folder.join("hall/map.gpkg")).unwrap();
+    let camera = format!("--camera {DEMO}/camera.yaml --rig {DEMO}/rig.toml --quiet --max-frames 60");
+    done(folder, &format!("run {} {camera} -o one --site {url} --robot one", drive().display()));
+    let told = lines.next().unwrap();
+    assert!(told.starts_with("warning: nothing is merged any more: ") && told.contains("map.gpkg"), "{told}");
+    for (command, shown) in [
+        (format!("site robots --site {url}"), "one "),
+        (format!("site robots --json --site {url}"), "{"),
+        (format!("site withdraw one --site {url}"), ""),
+    ] {
+        let output = odograph(folder, &command).output().unwrap();
+        let told = String::from_utf8(output.stderr).unwrap();
+        assert!(output.status.code() == Some(3) && told.contains("merges nothing any more: "), "{told}");
+        let text = String::from_utf8(output.stdout).unwrap();
+        assert!(text.starts_with(shown) && text.is_empty() == shown.is_empty(), "{command}: {text}");
+    }
+    assert!(Command::new("kill").args(["-INT", &child.id().to_string()]).status().unwrap().success());
+    let told = lines.last().unwrap();
+    assert!(told.starts_with("error: not everything is merged: "), "{told}");
+    assert_eq!(child.wait().unwrap().code(), Some(130), "interrupted, with an error");
+}
+
 #[test]
 fn two_runs_share_the_map_of_a_site_that_was_killed() {
     let folder = tempfile::tempdir().unwrap();
     let folder = folder.path();
-    let drive = std::fs::read_dir(DEMO)
-        .unwrap()
-        .map(|entry| entry.unwrap().path())
-        .find(|path| path.extension().is_some_and(|extension| extension == "mp4"))
-        .unwrap();
-    let run = format!("{} --camera {DEMO}/camera.yaml --rig {DEMO}/rig.toml --quiet", drive.display());
+    let run = format!("{} --camera {DEMO}/camera.yaml --rig {DEMO}/rig.toml --quiet", drive().display());
     let serving = Serving::new(folder, "127.0.0.1:0");
     let url = serving.url.clone();
     let loud = run.trim_end_matches(" --quiet");

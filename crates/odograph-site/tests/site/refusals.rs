@@ -195,6 +195,72 @@ fn what_no_robot_sends_is_refused() {
 }
 
 #[test]
+fn a_stored_record_that_cannot_be_used_quarantines_its_robot_alone() {
+    let folder = tempfile::tempdir().unwrap();
+    let place = folder.path().join("site");
+    let (origin, description, records) = sent(folder.path());
+    // Taken by a program that did not refuse it yet.
+    let (head, image) =
+        records[1][4..].split_at(u32::from_le_bytes(*records[1].first_chunk().unwrap()) as usize);
+    let mut head: Value = serde_json::from_slice(head).unwrap();
+    head["keyframe"]["tilt_covariance"] = json!([-1.0, 5.0, -1.0]);
+    let poison = framed(&head, &image[4..]);
+    let served = Served::new(&place);
+    let path = format!("/records/{}/{}", origin.robot, origin.key);
+    assert_eq!(served.post("/sessions", description.to_string().as_bytes()).0, 200);
+    assert_eq!(served.post(&path, &[&records[0][..], &poison].concat()).0, 422);
+    assert_eq!(served.post(&path, &records[..3].concat()).0, 200);
+    served.site.wait_until_settled();
+    served.site.close();
+    drop(served);
+    let store = rusqlite::Connection::open(place.join("records.sqlite")).unwrap();
+    store.execute("UPDATE record SET bytes = ?1 WHERE number = 1", [poison]).unwrap();
+    drop(store);
+    std::fs::remove_file(place.join("map.gpkg")).unwrap();
+    let served = Served::new(&place);
+    let mut other = description;
+    other["robot"] = json!("other");
+    assert_eq!(served.post("/sessions", other.to_string().as_bytes()).0, 200);
+    assert_eq!(served.post(&format!("/records/other/{}", origin.key), &records[..3].concat()).0, 200);
+    served.site.wait_until_settled();
+    let page = served.site.page();
+    assert_eq!((&page["failure"], &page["robots"]["one"]["state"]), (&Value::Null, &json!("quarantined")));
+    let reason = page["robots"]["one"]["reason"].as_str().unwrap();
+    assert!(reason.contains("record 1 of session") && reason.contains("no camera takes"), "{reason}");
+    let merged = page["sessions"].as_array().unwrap().iter().map(|session| session["keyframes"].clone());
+    assert_eq!(merged.collect::<Vec<_>>(), [json!(0), json!(3)]);
+}
+
+#[test]
+fn a_site_that_merges_nothing_any_more_says_so() {
+    let folder = tempfile::tempdir().unwrap();
+    let place = folder.path().join("site");
+    let (origin, description, records) = sent(folder.path());
+    let served = Served::new(&place);
+    // No map can be made here.
+    std::fs::create_dir(place.join("map.gpkg")).unwrap();
+    assert_eq!(served.post("/sessions", description.to_string().as_bytes()).0, 200);
+    let path = format!("/records/{}/{}", origin.robot, origin.key);
+    assert_eq!(served.post(&path, &records[..3].concat()).0, 200);
+    served.site.wait_until_settled();
+    let failure = served.site.failure().unwrap();
+    assert!(failure.contains("map.gpkg"), "{failure}");
+    assert_eq!(served.site.page()["failure"], json!(failure));
+    assert_eq!(served.site.page()["robots"]["one"]["state"], "active", "it is not the robot");
+    assert_eq!(served.post("/robots/one/withdraw", b"").1["failure"], json!(failure));
+    let client = odograph_site::SiteClient::new(served.server.url().parse().unwrap());
+    let complaint = client.set_robot("one", "restore").unwrap_err().to_string();
+    assert!(complaint.contains("not carried out") && complaint.contains(&failure), "{complaint}");
+    served.site.close();
+    drop(served);
+    // What it acknowledged is merged by the next.
+    std::fs::remove_dir(place.join("map.gpkg")).unwrap();
+    let served = Served::new(&place);
+    served.site.wait_until_settled();
+    assert_eq!((served.site.failure(), &served.site.page()["sessions"][0]["keyframes"]), (None, &json!(3)));
+}
+
+#[test]
 fn the_folder_of_a_run_is_not_served() {
     let folder = tempfile::tempdir().unwrap();
     let camera = crate::robots::Robot::first().camera;

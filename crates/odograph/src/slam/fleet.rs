@@ -56,12 +56,7 @@ impl FleetMapper {
 
     /// Registers a session with its camera, before its first keyframe.
     pub fn begin_session(&mut self, session: u32, mounted: &MountedCamera) {
-        let map = &mut self.mapper.map;
-        if mounted.camera != map.camera || mounted.rig != map.rig {
-            map.other_cameras.insert(session, mounted.clone());
-        }
-        let camera = self.mapper.matcher.index_of(&mounted.camera);
-        self.mapper.cameras.insert(session, camera);
+        self.mapper.begin_session(session, mounted);
     }
 
     /// Adds a keyframe of a session with its edges to earlier keyframes; all have the numbers of

@@ -7,7 +7,7 @@ use crate::error::Result;
 use crate::fixed_pattern::ImageMask;
 use crate::geometry::pose_index::{HEIGHT, ROLL};
 use crate::geometry::{PlaneTransform, Se2, propagated};
-use crate::ground_map::{GroundMap, KeyframeImage, KeyframeStore, MapKeyframe};
+use crate::ground_map::{GroundMap, KeyframeImage, KeyframeStore, MapKeyframe, MountedCamera};
 use crate::image::RgbImage;
 use crate::keyframe::{EdgeKind, GroundInView, KeyframeId, MapEdge};
 use crate::landmark::MarkerRecord;
@@ -206,6 +206,15 @@ impl Mapper {
         }
         self.settle_where_due();
         Ok(())
+    }
+
+    /// Registers a session with its camera, before its first keyframe.
+    pub(super) fn begin_session(&mut self, session: u32, mounted: &MountedCamera) {
+        if mounted.camera != self.map.camera || mounted.rig != self.map.rig {
+            self.map.other_cameras.insert(session, mounted.clone());
+        }
+        let camera = self.matcher.index_of(&mounted.camera);
+        self.cameras.insert(session, camera);
     }
 
     /// Inserts a new keyframe of a session, with its known edges to keyframes of the map.

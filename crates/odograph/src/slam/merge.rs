@@ -2,8 +2,9 @@
 
 use super::Mapper;
 use super::mapper::ComparedKeyframes;
+use crate::camera::Camera;
 use crate::error::{Error, Result};
-use crate::ground_map::{GroundMap, KeyframeImages, KeyframeStore, MapKeyframe};
+use crate::ground_map::{GroundMap, KeyframeImages, KeyframeStore, MapKeyframe, MountedCamera};
 use crate::keyframe::{KeyframeId, MapEdge};
 use crate::landmark::MarkerSighting;
 use crate::loop_closure::LoopClosureConfig;
@@ -32,9 +33,9 @@ pub struct Merged {
 /// that the mapper remembers ([`Mapper::remember_sightings`]), and are afterwards its own
 /// ([`Mapper::own_sightings`]).
 ///
-/// Fails if the cameras differ, or an image cannot be loaded or stored. After an error, and if no
-/// loop closure connects the two, what was stored in `images` is useless and the caller must remove
-/// it.
+/// Fails if `other` has keyframes of a camera that the map has not, or an image cannot be loaded or
+/// stored. After an error, and if no loop closure connects the two, what was stored in `images` is
+/// useless and the caller must remove it.
 pub fn merge(
     mapper: &mut Mapper,
     images: &mut dyn KeyframeStore,
@@ -42,8 +43,17 @@ pub fn merge(
     other_images: &mut dyn KeyframeImages,
     sightings: &[MarkerSighting],
 ) -> Result<Merged> {
-    if other.camera != mapper.map().camera {
+    let sessions: BTreeSet<u32> = other.keyframes.iter().map(|keyframe| keyframe.session).collect();
+    let here = mapper.map();
+    let is_here = |camera: &Camera| {
+        *camera == here.camera || here.other_cameras.values().any(|other| other.camera == *camera)
+    };
+    if !sessions.iter().all(|session| is_here(other.camera_of(*session))) {
         return Err(Error::input("the two maps were made with different cameras and cannot be joined"));
+    }
+    for session in sessions {
+        let (camera, rig) = (other.camera_of(session).clone(), *other.rig_of(session));
+        mapper.begin_session(session, &MountedCamera { camera, rig });
     }
     mapper.compared = ComparedKeyframes::Earlier;
     let mut inserted = BTreeSet::new();

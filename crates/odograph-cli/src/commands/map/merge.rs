@@ -4,7 +4,7 @@ use super::{info::pieces, mosaic};
 use crate::{Outcome, console, files, interrupt};
 use odograph::error::{Error, Result};
 use odograph::ground_map::KeyframeStore;
-use odograph::ground_map::{GroundMap, KeyframeImage, KeyframeImages, MapKeyframe};
+use odograph::ground_map::{GroundMap, KeyframeImage, KeyframeImages, MapKeyframe, MountedCamera};
 use odograph::keyframe::{KeyframeId, MapEdge};
 use odograph::landmark::{MarkerSighting, PlacedSighting};
 use odograph::loop_closure::LoopClosure;
@@ -17,7 +17,7 @@ use odograph_session::other_height;
 use std::fs;
 use std::path::{Path, PathBuf};
 
-/// Join maps of one camera with common ground.
+/// Join maps of the same cameras with common ground.
 ///
 /// The first one's frame is kept; the others are recognised in it. Sessions that are in it already
 /// are left out.
@@ -143,9 +143,11 @@ fn join(mut file: MapFile, path: &Path, arguments: &MergeArguments) -> Result<(M
     let mosaic_m = other.mosaic()?.map(|layer| layer.resolution_m);
     let map = file.map()?;
     let mut added = other.map()?;
-    if added.camera != map.camera {
+    let cameras = file.mounted_cameras()?;
+    let is_here = |there: &MountedCamera| cameras.iter().any(|here| here.camera == there.camera);
+    if !other.mounted_cameras()?.iter().all(is_here) {
         return Err(Error::input(format!(
-            "{} was made with another camera than {}; only maps of one camera, calibrated once, can be joined",
+            "{} was made with another camera than {}; only maps of the same cameras, each calibrated once, can be joined",
             path.display(),
             arguments.maps[0].display()
         )));
@@ -172,7 +174,11 @@ fn join(mut file: MapFile, path: &Path, arguments: &MergeArguments) -> Result<(M
     // The others get the next free numbers.
     let mut sessions = Vec::new();
     for session in all.into_iter().filter(|session| !there.contains(session)) {
-        sessions.push((session.id, file.begin_session(&session.source)?));
+        sessions.push((session.id, begun(&mut file, &session, &added)?));
+    }
+    let mut mounted = std::mem::take(&mut added.other_cameras);
+    for (old, new) in &sessions {
+        added.other_cameras.extend(mounted.remove(old).map(|other| (*new, other)));
     }
     for keyframe in &mut added.keyframes {
         let new = sessions.iter().find(|(old, _)| *old == keyframe.session);
@@ -237,6 +243,20 @@ fn join(mut file: MapFile, path: &Path, arguments: &MergeArguments) -> Result<(M
         file.set_path(new, &corrected_path(&other.path_of(old)?, &moves))?;
     }
     Ok((file, Added { merged, mosaic_m, warning }))
+}
+
+/// Begins a session of another map, with its camera and mount, and as its robot's where the map
+/// has not a part of it already.
+fn begun(file: &mut MapFile, session: &Session, added: &GroundMap) -> Result<u32> {
+    let (camera, rig) = (added.camera_of(session.id).clone(), *added.rig_of(session.id));
+    let mounted = MountedCamera { camera, rig };
+    let here = file.sessions()?;
+    match &session.origin {
+        Some(origin) if here.iter().all(|known| known.origin.as_ref() != Some(origin)) => {
+            file.begin_session_of(origin, &session.source, &mounted)
+        }
+        _ => file.begin_session_with(&session.source, &mounted),
+    }
 }
 
 /// What a map is joined to, in a sentence.

@@ -4,12 +4,12 @@ use super::{odograph, text};
 use nalgebra::{Matrix4, Matrix6, Vector4};
 use odograph::camera::{Camera, Distortion, Rig};
 use odograph::geometry::GroundPose;
-use odograph::ground_map::{KeyframeImage, KeyframeImages, MapKeyframe};
+use odograph::ground_map::{KeyframeImage, KeyframeImages, MapKeyframe, MountedCamera};
 use odograph::image::Pyramid;
 use odograph::keyframe::relative_pose::{compose, relative_motion};
 use odograph::keyframe::{EdgeKind, KeyframeId, MapEdge};
 use odograph::place_recognition::{PlacesConfig, Signature};
-use odograph_map::{MapFile, PathFrame};
+use odograph_map::{MapFile, PathFrame, SessionOrigin};
 use odograph_simulation::{Ground, Renderer, Texture};
 use std::fs;
 use std::path::Path;
@@ -160,6 +160,97 @@ fn overlapping_maps_are_merged() {
     left.sort();
     assert_eq!(left, ["a.gpkg", "b.gpkg", "c.gpkg", "far.gpkg", "small.gpkg"]);
     assert_eq!(fs::read(at("c.gpkg")).unwrap(), whole, "what failed left what was there");
+}
+
+/// Another camera, higher up.
+fn second_camera() -> MountedCamera {
+    let camera = Camera::new((256, 192), (180.0, 180.0), (127.5, 95.5), Distortion::None).unwrap();
+    MountedCamera { camera, rig: Rig::level(0.8) }
+}
+
+/// A map of two robots, the second of which has the second camera, in the frame of the first one's
+/// first keyframe. Returns their origins.
+fn drive_of_two(path: &Path, robots: [&str; 2], truth: [Vec<GroundPose>; 2]) -> [SessionOrigin; 2] {
+    let cameras = [MountedCamera { camera: camera(), rig: Rig::level(HEIGHT_M) }, second_camera()];
+    let mut map = MapFile::create(path, &cameras[0].camera, &cameras[0].rig).unwrap();
+    let config = PlacesConfig::new(&camera(), HEIGHT_M);
+    let (start, begin) = (GroundPose::level(HEIGHT_M), truth[0][0]);
+    let mut next = 0;
+    let origins = robots.map(|robot| SessionOrigin::new(robot).unwrap());
+    for ((origin, MountedCamera { camera, rig }), truth) in origins.iter().zip(&cameras).zip(truth) {
+        let mounted = MountedCamera { camera: camera.clone(), rig: *rig };
+        let session = map.begin_session_by(origin, "drive.mp4", Some(&mounted)).unwrap();
+        let (renderer, mut frames) = (Renderer::new(camera), Vec::new());
+        for (at, pose) in truth.iter().enumerate() {
+            let truth_here = GroundPose { height_m: rig.height_m, ..*pose };
+            let known = compose(&start, &relative_motion(&begin, pose), 1.0);
+            let known = GroundPose { height_m: rig.height_m, ..known };
+            let gray = renderer.gray_view(&GROUND, &truth_here);
+            let keyframe = MapKeyframe {
+                id: KeyframeId(next),
+                session,
+                segment: 0,
+                frame: at as u64,
+                time_s: at as f64,
+                odometry_pose: known,
+                pose: known,
+                covariance: Matrix6::zeros(),
+                signature: Signature::of(&Pyramid::new(gray.clone(), 4), camera, None, &known, &config),
+            };
+            let step = |at: usize| relative_motion(&truth[at - 1], &truth[at]);
+            let edge = (at > 0).then(|| tie(next as usize - 1, next as usize, EdgeKind::Odometry, step(at)));
+            map.add_keyframe(&keyframe, &KeyframeImage { gray, color: None }, edge.as_slice()).unwrap();
+            frames.push(PathFrame {
+                frame: keyframe.frame,
+                segment: 0,
+                time_s: keyframe.time_s,
+                pose: known,
+            });
+            next += 1;
+        }
+        map.set_path(session, &frames).unwrap();
+    }
+    map.close().unwrap();
+    origins
+}
+
+#[test]
+fn merged_sessions_keep_their_cameras_and_robots() {
+    let folder = tempfile::tempdir().unwrap();
+    let at = |name: &str| folder.path().join(name);
+    drive(&at("one_camera.gpkg"), &way((0.0, 0.0), 0.0, 9));
+    let first = [way((0.0, 0.0), 0.0, 9), way((0.1, 0.3), 0.0, 6)];
+    let second = [way((2.3, 0.4), -2.7, 9), way((2.2, 0.1), 3.0, 6)];
+    let here = drive_of_two(&at("a.gpkg"), ["one", "two"], first);
+    let there = drive_of_two(&at("b.gpkg"), ["three", "four"], second);
+    let merge = |maps: [&str; 2], output: &str| {
+        text(&odograph(&["merge", maps[0], maps[1], "-o", output], folder.path()))
+    };
+    let (code, message, told) = merge(["a.gpkg", "b.gpkg"], "c.gpkg");
+    assert_eq!((code, told.as_str()), (0, ""), "{message}");
+    let mut joined = MapFile::open_read_only(&at("c.gpkg")).unwrap();
+    joined.check().unwrap();
+    let origins: Vec<_> = joined.sessions().unwrap().into_iter().map(|session| session.origin).collect();
+    assert_eq!(origins, here.into_iter().chain(there).map(Some).collect::<Vec<_>>());
+    let map = joined.map().unwrap();
+    for (session, mounted) in [(1, true), (2, false), (3, true)] {
+        let other = mounted.then(second_camera);
+        assert_eq!(joined.other_cameras().get(&session), other.as_ref(), "session {session}");
+        let own = map.keyframes.iter().filter(|keyframe| keyframe.session == session);
+        let numbers: Vec<_> = own.map(|keyframe| joined.number_of(keyframe.id).unwrap().unwrap()).collect();
+        assert_eq!(numbers, (0..numbers.len() as u64).collect::<Vec<_>>(), "session {session}");
+    }
+    let mut other = MapFile::open_read_only(&at("b.gpkg")).unwrap();
+    assert_eq!(joined.load(KeyframeId(25)).unwrap(), other.load(KeyframeId(10)).unwrap());
+    // The same again is noticed, and so is a camera that is not the first.
+    for (maps, part) in [
+        (["c.gpkg", "b.gpkg"], "every session of b.gpkg is in c.gpkg already"),
+        (["one_camera.gpkg", "b.gpkg"], "another camera"),
+    ] {
+        let (code, _, complaint) = merge(maps, "d.gpkg");
+        assert!(code == 3 && complaint.contains(part), "{complaint}");
+        assert!(!at("d.gpkg").exists());
+    }
 }
 
 #[test]
