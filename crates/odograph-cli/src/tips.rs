@@ -42,10 +42,18 @@ fn tip(error: &clap::Error, command: &clap::Command, arguments: &[OsString]) -> 
             example(asked, &names, missing).map(|example| format!("for example {example}"))
         }
         ErrorKind::InvalidSubcommand => {
-            let path = Path::new(context(ContextKind::InvalidSubcommand)?);
+            let typed = context(ContextKind::InvalidSubcommand)?;
+            let path = Path::new(typed);
+            if !path.exists() {
+                // The parser finds similar long names by itself.
+                error.get(ContextKind::SuggestedSubcommand).is_none().then_some(())?;
+                let mut all = asked.get_subcommands().map(clap::Command::get_name);
+                let name = all.find(|name| is_one_slip(typed, name))?;
+                let names = names.iter().fold(String::new(), |all, name| format!("{all} {name}"));
+                return Some(format!("odograph{names} {name} is a similar command"));
+            }
             let is_map = path.extension().is_some_and(|ending| ending == "gpkg");
             let verb = match (names.as_slice(), is_map) {
-                _ if !path.exists() => return None,
                 ([], false) => "run",
                 ([], true) => "view",
                 (["map"], _) => "map info",
@@ -81,6 +89,19 @@ fn tip(error: &clap::Error, command: &clap::Command, arguments: &[OsString]) -> 
             has(option).then(|| format!("write --{option} {}", quoted(Path::new(unknown))))
         }
         _ => None,
+    }
+}
+
+/// Whether `typed` is `name` with one letter too many, missing or wrong, or two swapped.
+fn is_one_slip(typed: &str, name: &str) -> bool {
+    let [a, b] = [typed, name].map(|word| word.chars().collect::<Vec<_>>());
+    let same = a.iter().zip(&b).take_while(|(a, b)| a == b).count();
+    let (a, b) = (&a[same..], &b[same..]);
+    let same = a.iter().rev().zip(b.iter().rev()).take_while(|(a, b)| a == b).count();
+    match (&a[..a.len() - same], &b[..b.len() - same]) {
+        ([] | [_], [] | [_]) => true,
+        ([first, second], [third, fourth]) => first == fourth && second == third,
+        _ => false,
     }
 }
 
@@ -139,6 +160,8 @@ mod tests {
             ("odograph run a.mp4 -output b", "write it with two hyphens, --output\n"),
             ("odograph localize a.jpg b/map.gpkg", "write --map b/map.gpkg\n"),
             ("odograph undistort a.mp4 b.yaml", "write --camera b.yaml\n"),
+            ("odograph rn", "'rn'\n\n  tip: odograph run is a similar command\n"),
+            ("odograph rnu", "tip: odograph run is a similar command\n"),
             ("odograph board --weather sunny", "tip: odograph board -h lists the options\n"),
             (
                 "odograph map thin a.gpkg -o b",

@@ -158,6 +158,17 @@ fn foreign_pages_cannot_send_requests_through_a_browser() {
 }
 
 #[test]
+fn a_port_of_another_program_is_named() {
+    let place = place(None);
+    let address = place.server.address();
+    let second = Server::start(address, Arc::clone(&place.hub), ServerOptions::default());
+    let refused = second.err().unwrap().to_string();
+    let expected =
+        format!("another program, perhaps another odograph, has port {}; give another", address.port());
+    assert!(refused.contains(&expected), "{refused}");
+}
+
+#[test]
 fn without_the_token_every_request_is_refused() {
     let place = place(Some("correct-token-123"));
     let address = place.server.address();

@@ -183,7 +183,7 @@ impl PyEvaluation {
         self.0.time_covered
     }
 
-    /// Length of the aligned estimate through the compared poses, metres.
+    /// Length of the estimate through the compared poses, metres, before it is scaled.
     #[getter]
     fn estimate_length(&self) -> f64 {
         self.0.estimate_length_m

@@ -40,7 +40,8 @@ pub fn path_over_ground(input: &ReportInput<'_>, page: &mut String) {
         escape(mosaic.file_name),
         length_text(mosaic.placement.metres_per_pixel),
     );
-    page.push_str("<div class=\"layers\" role=\"group\" aria-label=\"Layers\">\n");
+    // Above the picture: below it, it would be off a small screen.
+    page.push_str("<p class=\"readout\" data-hint=\"Point at the path or at a plot to see a frame.\"></p>\n<div class=\"layers\" role=\"group\" aria-label=\"Layers\">\n");
     for (class, name, shown) in
         [("photograph", "ground", true)].into_iter().chain(layers.iter().map(|l| (l.class, l.name, l.shown)))
     {
@@ -70,9 +71,7 @@ pub fn path_over_ground(input: &ReportInput<'_>, page: &mut String) {
     for layer in &layers {
         let _ = write!(page, "<g class=\"{}\">{}</g>", layer.class, layer.elements);
     }
-    page.push_str(
-        "</svg></div></div>\n<p class=\"readout\" data-hint=\"Point at the path or at a plot to see a frame.\"></p></figure>\n",
-    );
+    page.push_str("</svg></div></div></figure>\n");
 }
 
 /// Writes the frames as data, and the script that shows them. It is the end of the page: everything

@@ -4,7 +4,7 @@ use super::charts::over_time;
 use super::evaluation_plot;
 use super::figures::{RunFigures, sigmas, weakest};
 use super::ground_view::{path_over_ground, script};
-use super::parts::{card, head, number, warnings};
+use super::parts::{card, head, lengths_text, number, warnings};
 use odograph::camera::Distortion;
 use odograph::drawing::MapDrawing;
 use odograph::drawing::scale::{duration_text, length_text};
@@ -24,10 +24,11 @@ pub fn html(input: &ReportInput<'_>) -> String {
     let interrupted = input.interruption.map_or(String::new(), |interruption| {
         format!("<b>The run was {interruption}</b>; nothing after that is known. ")
     });
-    let _ = writeln!(page, "<p class=\"lead\">{interrupted}{}</p>", lead(&figures));
+    let is_whole = input.interruption.is_none();
+    let _ = writeln!(page, "<p class=\"lead\">{interrupted}{}</p>", lead(&figures, is_whole));
     warnings(input.warnings, &mut page);
     path_over_ground(input, &mut page);
-    cards(&figures, &mut page);
+    cards(&figures, is_whole, &mut page);
     over_time(input.frames, &figures, &mut page);
     drawing(input, &mut page);
     beside(input.reference, &mut page);
@@ -45,8 +46,8 @@ pub fn html(input: &ReportInput<'_>) -> String {
     page
 }
 
-/// Summary of the run in one or two sentences.
-fn lead(figures: &RunFigures) -> String {
+/// Summary of the run in one or two sentences; one that is not whole has frames up to some point.
+fn lead(figures: &RunFigures, is_whole: bool) -> String {
     if figures.with_pose == 0 {
         return "No frame could be tracked. The reasons are listed below.".into();
     }
@@ -56,7 +57,8 @@ fn lead(figures: &RunFigures) -> String {
         duration_text(figures.duration_s)
     );
     let kept = match figures.lost.len() {
-        0 => "Every frame was tracked.".into(),
+        0 if is_whole => "Every frame was tracked.".into(),
+        0 => "Every frame up to there was tracked.".into(),
         1 => format!(
             "Tracking was lost once, for {}; no path is drawn there.",
             duration_text(figures.lost_s())
@@ -74,7 +76,7 @@ fn distance_text(distance_m: f64) -> String {
     if (1.0..10_000.0).contains(&distance_m) { format!("{distance_m:.2} m") } else { length_text(distance_m) }
 }
 
-fn cards(figures: &RunFigures, page: &mut String) {
+fn cards(figures: &RunFigures, is_whole: bool, page: &mut String) {
     page.push_str("<div class=\"cards\">\n");
     card(
         "Distance",
@@ -82,7 +84,11 @@ fn cards(figures: &RunFigures, page: &mut String) {
         "Length of the measured path; lost stretches do not count.",
         page,
     );
-    card("Duration", &duration_text(figures.duration_s), "From the first tracked frame to the last.", page);
+    let until = match is_whole {
+        true => "From the first frame to the last.",
+        false => "From the first frame to the last before the run was interrupted.",
+    };
+    card("Duration", &duration_text(figures.duration_s), until, page);
     let share = 100.0 * figures.with_pose as f64 / figures.frames.max(1) as f64;
     // Rounded down, so that 100 % appears only if all frames have a pose.
     card(
@@ -97,7 +103,8 @@ fn cards(figures: &RunFigures, page: &mut String) {
         n => format!("{n} times"),
     };
     let lost = match figures.lost.len() {
-        0 => "Every frame has a pose.".into(),
+        0 if is_whole => "Every frame has a pose.".into(),
+        0 => "Every frame up to the interruption has a pose.".into(),
         _ => format!("{} altogether without a pose.", duration_text(figures.lost_s())),
     };
     card("Lost", &times, &lost, page);
@@ -144,23 +151,14 @@ fn end_cards(distance_m: f64, last: &PlaceSummary, away_m: f64, page: &mut Strin
     let (position_m, heading_rad) = sigmas(last);
     card(
         "Uncertainty at the end",
-        &format!("± {}", uncertainty_text(2.0 * position_m)),
+        &format!("± {}", length_text(position_m)),
         &format!(
-            "And ± {}° of heading: two standard deviations since the start or the last loss, if camera and height are right.",
-            number(2.0 * heading_rad.to_degrees(), 2)
+            "And ± {}° of heading: one standard deviation, as in the plots, since the start or the last loss, if \
+             camera and height are right.",
+            number(heading_rad.to_degrees(), 3)
         ),
         page,
     );
-}
-
-/// A standard deviation in the unit of the figures beside it: in micrometres only where a hundredth
-/// of a millimetre would show as zero.
-fn uncertainty_text(deviation_m: f64) -> String {
-    match deviation_m {
-        tiny if tiny > 0.0 && tiny < 1e-5 => format!("{} µm", number(1e6 * tiny, 2)),
-        small if small < 1e-3 => format!("{} mm", number(1e3 * small, 2)),
-        large => length_text(large),
-    }
 }
 
 /// Formats a position as `x, y unit`, to the millimetre or three digits.
@@ -191,6 +189,7 @@ fn beside(reference: Option<&ComparedReference>, page: &mut String) {
     let Some(reference) = reference else { return };
     let evaluation = &reference.evaluation;
     let errors = &evaluation.absolute.translation;
+    let [rmse, median, max] = lengths_text([errors.rmse, errors.median, errors.max]);
     let scale = evaluation.scale.map_or(String::new(), |scale| {
         format!(" The scale of the alignment is {scale:.5}; 1 means equal lengths.")
     });
@@ -202,9 +201,9 @@ fn beside(reference: Option<&ComparedReference>, page: &mut String) {
         escape(&reference.name),
         evaluation.pairs.len(),
         length_text(evaluation.truth_length_m),
-        length_text(errors.rmse),
-        length_text(errors.median),
-        length_text(errors.max),
+        rmse,
+        median,
+        max,
         evaluation_plot::from_above(evaluation, &reference.reference)
     );
 }
@@ -353,11 +352,9 @@ fn parameters(input: &ReportInput<'_>, page: &mut String) {
     );
 }
 
-/// Links to the files that every run writes beside its report.
+/// Links to the files beside the report.
 fn files_beside(input: &ReportInput<'_>) -> String {
-    let always =
-        ["trajectory.csv", "trajectory.tum", "trajectory-smoothed.csv", "map.svg", "run.toml", "stats.json"];
-    let names = always.into_iter().chain(input.mosaic.iter().map(|mosaic| mosaic.file_name));
-    let links: Vec<String> = names.map(|name| format!("<a href=\"{0}\">{0}</a>", escape(name))).collect();
+    let links: Vec<String> =
+        input.files.iter().map(|name| format!("<a href=\"{0}\">{0}</a>", escape(name))).collect();
     links.join(", ")
 }

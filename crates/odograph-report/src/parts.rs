@@ -37,6 +37,17 @@ pub fn card(name: &str, value: &str, says: &str, page: &mut String) {
     let _ = writeln!(page, "<div class=\"card\"><em>{name}</em><b>{value}</b><small>{says}</small></div>");
 }
 
+/// Lengths in one unit, that of the longest, so that they can be compared.
+pub fn lengths_text<const N: usize>(lengths_m: [f64; N]) -> [String; N] {
+    let (unit, size_m, decimals) = match lengths_m.into_iter().fold(0.0, f64::max) {
+        far if far >= 0.9995 => ("m", 1.0, 3),
+        near if near >= 0.09995 => ("mm", 1e-3, 1),
+        near if near >= 1e-5 || near == 0.0 => ("mm", 1e-3, 2),
+        _ => ("µm", 1e-6, 2),
+    };
+    lengths_m.map(|length_m| format!("{} {unit}", number(length_m / size_m, decimals)))
+}
+
 /// Formats a number with `decimals` decimals; a value that rounds to zero has no sign.
 pub fn number(value: f64, decimals: usize) -> String {
     label(value, 10f64.powi(-(decimals as i32)))

@@ -89,9 +89,20 @@ fn report_with(
     title: &str,
     warnings: &[String],
 ) -> String {
+    report_until(None, mosaic, frames, title, warnings)
+}
+
+/// The report of a run that may have been interrupted.
+fn report_until(
+    interruption: Option<&str>,
+    mosaic: Option<ReportMosaic<'_>>,
+    frames: &[FrameSummary],
+    title: &str,
+    warnings: &[String],
+) -> String {
     let map = MapDrawing { title, ..MapDrawing::default() }.svg(frames);
     html(&ReportInput {
-        interruption: None,
+        interruption,
         title,
         source: "drive.mp4, 320 × 240 pixels",
         frames,
@@ -104,6 +115,7 @@ fn report_with(
         marks: &[ReportMark { name: "a <door>".into(), time_s: 2.0 }],
         mosaic,
         run_toml: "height_m = 0.5\nmodel = \"rigid\"\n",
+        files: &["odometry.tum", "map.gpkg"],
         warnings,
         sensors: &[],
         reference: None,
@@ -180,6 +192,46 @@ fn the_report_describes_the_run() {
 }
 
 #[test]
+fn an_interrupted_run_is_not_reported_as_a_whole_one() {
+    let mut frames = figure_eight(600);
+    frames.retain(|frame| frame.place.is_some());
+    frames.iter_mut().for_each(|frame| frame.segment = 0);
+    let whole = report(&frames, "drive", &[]);
+    let interruption = "interrupted after 550 of 600 frames";
+    let until = report_until(Some(interruption), None, &frames, "drive", &[]);
+    assert_sound(&until);
+    assert!(until.contains(interruption) && until.contains("Every frame up to there was tracked."));
+    for sentence in
+        ["Every frame was tracked.", "Every frame has a pose.", "From the first frame to the last.<"]
+    {
+        assert!(whole.contains(sentence) && !until.contains(sentence), "{sentence}");
+    }
+}
+
+#[test]
+fn the_card_states_the_deviation_of_the_plots() {
+    // 3.5 cm times 599/600 at the last frame.
+    let page = report(&figure_eight(600), "drive", &[]);
+    assert!(page.contains("<b>± 34.9 mm</b>") && page.contains("one standard deviation, as in the plots"));
+    assert!(page.contains(",0.034942,"), "of the last frame, as the plots have it");
+}
+
+#[test]
+fn files_beside_the_report_are_linked() {
+    let page = report(&figure_eight(60), "drive", &[]);
+    let links = "<a href=\"odometry.tum\">odometry.tum</a>, <a href=\"map.gpkg\">map.gpkg</a>.";
+    assert!(page.contains(links) && !page.contains("carrier.tum"));
+}
+
+#[test]
+fn errors_beside_each_other_have_one_unit() {
+    let texts = crate::parts::lengths_text;
+    assert_eq!(texts([0.000_667, 0.000_571, 0.001_6]), ["0.67 mm", "0.57 mm", "1.60 mm"]);
+    assert_eq!(texts([0.004, 0.002, 1.2]), ["0.004 m", "0.002 m", "1.200 m"]);
+    assert_eq!(crate::parts::lengths_text([0.0, 2e-6]), ["0.00 µm", "2.00 µm"]);
+}
+
+#[test]
 fn names_are_escaped_in_the_page() {
     let page = report(&figure_eight(60), "<script>alert('x')</script>.mp4", &["a <b> & \"c\"".into()]);
     assert_sound(&page);
@@ -212,6 +264,8 @@ fn the_path_lies_over_the_ground_it_saw() {
     let frames = figure_eight(600);
     let page = report_over_ground(&frames);
     assert_sound(&page);
+    let [said, shown] = ["<p class=\"readout\"", "<div class=\"view\""].map(|part| page.find(part).unwrap());
+    assert!(said < shown, "the frame pointed at is told below the picture, off a small screen");
     let over = page.split("<div class=\"over\">").nth(1).unwrap().split("</svg>").next().unwrap();
     assert!(over.contains("viewBox=\"-0.5 -0.5 400 200\""), "{over}");
     // Two segments, each with its casing; from the origin, over a quarter of the eight to (1.6, 0).
@@ -357,6 +411,7 @@ fn a_look() {
         marks: &[],
         mosaic: Some(ReportMosaic { picture: &small, placement: whole.placement, file_name: "mosaic.png" }),
         run_toml: "height_m = 0.5\nmodel = \"rigid\"\nseed = 1\n",
+        files: &["mosaic.png"],
         warnings: &["the video ends in the middle of a frame; 900 of about 905 frames were read".into()],
         sensors: &[],
         reference: None,

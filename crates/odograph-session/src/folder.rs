@@ -190,6 +190,11 @@ impl OutputFolder {
         }
     }
 
+    /// Whether this run has written the file.
+    pub fn has_written(&self, path: &Path) -> bool {
+        self.written.iter().any(|written| written == path)
+    }
+
     /// Returns the files that were written, in order.
     pub fn take_written(&mut self) -> Vec<PathBuf> {
         std::mem::take(&mut self.written)

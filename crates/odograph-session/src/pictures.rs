@@ -116,13 +116,21 @@ fn draw(
     Ok((small, drawing.svg(shown.frames)))
 }
 
+/// What the report tells beside the drawings.
+pub struct PageTexts<'a> {
+    pub warnings: &'a [String],
+    /// How far a run got that was ended early.
+    pub interruption: Option<&'a str>,
+    /// Names of the files in its folder.
+    pub files: &'a [&'a str],
+}
+
 /// Writes the report, if there is a reporter.
 pub fn write_page(
     plan: &RunPlan,
     shown: &DrawingInputs<'_>,
     drawn: &Drawn,
-    warnings: &[String],
-    interruption: Option<&str>,
+    told: &PageTexts<'_>,
     folder: &mut OutputFolder,
     reporter: Option<&dyn RunReporter>,
 ) -> Result<()> {
@@ -131,7 +139,7 @@ pub fn write_page(
         title: title(plan),
         source: shown.description,
         frames: shown.frames,
-        interruption,
+        interruption: told.interruption,
         camera: &plan.camera,
         rig: &plan.rig,
         map_svg: &drawn.path_svg,
@@ -146,7 +154,8 @@ pub fn write_page(
             file_name: "mosaic.png",
         }),
         run_toml: &plan.text()?,
-        warnings,
+        files: told.files,
+        warnings: told.warnings,
         sensors: shown.sensors,
         reference: shown.reference,
     });

@@ -64,8 +64,8 @@ pub struct ReportInput<'a> {
     pub source: &'a str,
     /// All frames of the run, in order of time.
     pub frames: &'a [FrameSummary],
-    /// How far an interrupted run got, e.g. "interrupted after 3 of 5 frames"; `None` if it is
-    /// complete.
+    /// How far an interrupted run got, or a live run that was stopped before its recording ended,
+    /// e.g. "interrupted after 3 of 5 frames"; `None` if it is complete.
     pub interruption: Option<&'a str>,
     /// The camera that was used.
     pub camera: &'a Camera,
@@ -85,6 +85,8 @@ pub struct ReportInput<'a> {
     pub mosaic: Option<ReportMosaic<'a>>,
     /// All parameters used, in the format of `run.toml`.
     pub run_toml: &'a str,
+    /// Names of the files in the folder of the report.
+    pub files: &'a [&'a str],
     /// Warnings about the input; sentences.
     pub warnings: &'a [String],
     /// Results of the sensors other than the camera.

@@ -65,8 +65,8 @@ pub struct RunStatistics {
     pub interrupted: bool,
     /// Warnings about the run, one sentence each; empty if there are none.
     pub warnings: Vec<String>,
-    /// Number of frames that an interrupted run would have had; left out where the source does not
-    /// state it, and of complete runs.
+    /// Number of frames that a run that was ended early would have had; left out where the source
+    /// does not state it, and of complete runs.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub frames_announced: Option<u64>,
     /// Drops and latencies of a live run; left out of runs over recordings.
@@ -226,6 +226,14 @@ impl RunStatistics {
         interrupted.then(|| interruption(self.frames, self.frames_announced))
     }
 
+    /// State of a run that ended before its recording did: interrupted, or a live run over a
+    /// recording that was stopped. `None` for any other, and for a stopped camera, which has no
+    /// end.
+    pub fn stopped_early(&self) -> Option<String> {
+        let announced = self.frames_announced;
+        self.interrupted.then(|| stopped_early(self.frames, announced, self.live.as_ref())).flatten()
+    }
+
     /// A summary of a few lines.
     pub fn summary(&self) -> String {
         // The path of a microscope is no 0.00 m.
@@ -262,8 +270,20 @@ impl RunStatistics {
     }
 }
 
+/// State of a run with this number of frames that was asked to stop; `None` for a live run that has
+/// all frames of its recording, or whose source announced none, as a camera does.
+pub(crate) fn stopped_early(
+    frames: u64,
+    announced: Option<u64>,
+    live: Option<&LiveStatistics>,
+) -> Option<String> {
+    let is_whole =
+        live.is_some_and(|live| announced.is_none_or(|announced| frames + live.frames_dropped >= announced));
+    (!is_whole).then(|| interruption(frames, announced))
+}
+
 /// State of an interrupted run with this number of frames.
-pub(crate) fn interruption(frames: u64, announced: Option<u64>) -> String {
+fn interruption(frames: u64, announced: Option<u64>) -> String {
     match announced {
         Some(announced) => format!("interrupted after {frames} of {announced} frames"),
         None => format!("interrupted after {frames} frames"),

@@ -7,12 +7,14 @@ mod clip;
 
 use odograph::error::{Error, Result};
 use odograph::filter::fusion::{Quantity, SensorRecord, Sensors};
+use odograph::trajectory::FrameEstimate;
 use odograph_live::capture::{Captured, LiveSource, Policy};
 use odograph_session::live::{CaptureOptions, LiveFrame, LiveInput, LiveOptions, PoseSink, open_live_input};
-use odograph_session::{Observer, RunEnd};
+use odograph_session::{Observer, ReportInput, RunEnd, RunReporter};
 use odograph_video::SourceInfo;
 use std::fs;
 use std::sync::Mutex;
+use std::sync::atomic::{AtomicU64, Ordering};
 
 /// Keeps the numbers of the frames, and fails at one of them.
 #[derive(Default)]
@@ -59,6 +61,51 @@ fn a_live_run_over_a_recording_gives_the_odometry_of_a_run() {
     assert_eq!(sink.frames, (0..30).collect::<Vec<u64>>());
     let odometry = |folder: &std::path::Path| fs::read(folder.join("odometry.tum")).unwrap();
     assert_eq!(odometry(&recorded), odometry(&live));
+}
+
+/// Asks to stop after ten frames.
+#[derive(Default)]
+struct Impatient(AtomicU64);
+
+impl Observer for Impatient {
+    fn frame(&self, _: &FrameEstimate) {
+        self.0.fetch_add(1, Ordering::Relaxed);
+    }
+
+    fn is_stop_asked(&self) -> bool {
+        self.0.load(Ordering::Relaxed) >= 10
+    }
+}
+
+/// Writes how far the run got.
+struct HowFar;
+
+impl RunReporter for HowFar {
+    fn map_png(&self, _: &str) -> Result<Vec<u8>> {
+        Ok(Vec::new())
+    }
+
+    fn page(&self, contents: &ReportInput<'_>) -> String {
+        assert!(contents.files.contains(&"odometry.tum") && contents.files.contains(&"map.gpkg"));
+        contents.interruption.unwrap_or("whole").to_owned()
+    }
+}
+
+#[test]
+fn a_live_run_that_is_stopped_before_its_recording_ends_says_so() {
+    let folder = tempfile::tempdir().unwrap();
+    let page = || fs::read_to_string(folder.path().join("report.html")).unwrap();
+    let run = clip::run(200).folder(folder.path()).reporter(HowFar);
+    let live = run.clone().open_live(&LiveOptions::default(), &()).unwrap();
+    let outcome = live.follow(None, &Impatient::default()).unwrap();
+    let early = outcome.statistics.stopped_early().unwrap();
+    assert!(early.starts_with(&format!("interrupted after {} of ", outcome.trajectory.len())), "{early}");
+    assert_eq!(page(), early);
+    // That is how live runs end, and no failure.
+    assert_eq!(outcome.end, RunEnd::Completed);
+    let live = run.overwriting(true).open_live(&LiveOptions::default(), &()).unwrap();
+    assert_eq!(live.follow(None, &()).unwrap().statistics.stopped_early(), None);
+    assert_eq!(page(), "whole");
 }
 
 const WARNING: &str = "the bumper was touched";

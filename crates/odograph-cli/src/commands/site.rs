@@ -3,6 +3,7 @@
 use crate::{Outcome, address, console, files, interrupt};
 use odograph::error::{Error, Result};
 use odograph::formats::decimal::Rounded;
+use odograph_live::server::listener::not_served;
 use odograph_live::server::new_token;
 use odograph_map::{MapFile, Session};
 use odograph_site::{
@@ -278,12 +279,7 @@ fn serve(arguments: &ServeSiteArguments) -> Result<Outcome> {
         None => Some(new_token()?),
     };
     // Nothing is made for an address that cannot be served.
-    drop(TcpListener::bind(arguments.listen).map_err(|error| {
-        Error::usage(format!(
-            "the page cannot be served at {}: {error}; give another address or port",
-            arguments.listen
-        ))
-    })?);
+    drop(TcpListener::bind(arguments.listen).map_err(|error| not_served(arguments.listen, &error))?);
     files::check_output_folder(&arguments.folder)?;
     files::make_folder(&arguments.folder)?;
     let site = Arc::new(Site::open(&arguments.folder)?);

@@ -36,6 +36,18 @@ impl Connection {
     }
 }
 
+/// The error of an address at which no page can be served, in the words of the program.
+pub fn not_served(address: SocketAddr, error: &io::Error) -> Error {
+    let advice = "give another address or port";
+    Error::usage(match error.kind() {
+        io::ErrorKind::AddrInUse => format!(
+            "the page cannot be served at {address}: another program, perhaps another odograph, has port {}; {advice}",
+            address.port()
+        ),
+        _ => format!("the page cannot be served at {address}: {error}; {advice}"),
+    })
+}
+
 impl Drop for Connection {
     fn drop(&mut self) {
         self.0.connections.fetch_sub(1, Ordering::Relaxed);
@@ -57,11 +69,7 @@ impl Listener {
         if !protected && !address.ip().is_loopback() {
             return Err(Error::usage(format!("{address} can be reached by others: that needs a token")));
         }
-        let listener = TcpListener::bind(address).map_err(|error| {
-            Error::usage(format!(
-                "the page cannot be served at {address}: {error}; give another address or port"
-            ))
-        })?;
+        let listener = TcpListener::bind(address).map_err(|error| not_served(address, &error))?;
         let bound = listener.local_addr().unwrap_or(address);
         let state = Arc::new(ListenerState::default());
         let acceptor = thread::Builder::new()

@@ -156,15 +156,38 @@ impl ExpectedError {
         self.known().last().copied()
     }
 
+    /// What the colours are scaled to, pixels. A few cells at the edge of the lens's view may be
+    /// worse by a factor of 1000; they must not determine the scale.
+    fn range_px(&self) -> (f64, f64) {
+        let known = self.known();
+        let quantile = |hundredths: usize| known.get(known.len() * hundredths / 100).copied();
+        let low = quantile(1).unwrap_or(0.01).max(1e-4);
+        (low, quantile(98).unwrap_or(1.0).max(2.0 * low))
+    }
+
+    /// What the colours cannot say: which cells are gray, and that the scale does not reach the
+    /// worst of them. Empty if there is neither.
+    pub fn key(&self) -> String {
+        let mut key = String::new();
+        let (_, high) = self.range_px();
+        if let Some(worst) = self.worst_px().filter(|worst| *worst > 1.5 * high) {
+            let _ = write!(
+                key,
+                " Yellow is {} and more; the worst is {}.",
+                pixels_text(high),
+                pixels_text(worst)
+            );
+        }
+        if self.errors_px.iter().any(Option::is_none) {
+            key.push_str(" Gray: there the lens model has no ray.");
+        }
+        key
+    }
+
     /// The image coloured by the error, with a colour scale below it and values at nine positions.
     pub fn drawing(&self) -> PageDrawing {
         let frame = ImageFrame::new(self.size);
-        let known = self.known();
-        // A few cells at the edge of the lens's view may be worse by a factor of 1000; they must
-        // not determine the scale.
-        let quantile = |hundredths: usize| known.get(known.len() * hundredths / 100).copied();
-        let low = quantile(1).unwrap_or(0.01).max(1e-4);
-        let high = quantile(98).unwrap_or(1.0).max(2.0 * low);
+        let (low, high) = self.range_px();
         let share = |error: f64| ((error.max(low) / low).ln() / (high / low).ln()).clamp(0.0, 1.0);
         let (left, right, top, bottom) = frame.sides();
         let (width, height) = ((right - left) / self.columns as f64, (bottom - top) / self.rows as f64);

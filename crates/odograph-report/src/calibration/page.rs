@@ -143,9 +143,10 @@ impl CalibrationReport<'_> {
             Named {
                 file: "expected-error.png",
                 title: "Expected error",
-                says:
-                    "How far a ray through each place of the image is likely to be off, from the covariance."
-                        .into(),
+                says: format!(
+                    "How far a ray through each place of the image is likely to be off, from the covariance.{}",
+                    self.expected_error.key()
+                ),
                 drawing: self.expected_error.drawing(),
             },
             Named {

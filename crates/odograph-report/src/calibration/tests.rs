@@ -204,6 +204,17 @@ fn drawings_tolerate_non_finite_numbers() {
 }
 
 #[test]
+fn cells_without_a_ray_have_a_key() {
+    let everywhere = ExpectedError::new((640, 480), |_| Some(0.1));
+    assert_eq!(everywhere.key(), "");
+    let not_left = ExpectedError::new((640, 480), |pixel| (pixel.x > 40.0).then_some(0.1));
+    assert_eq!(not_left.key(), " Gray: there the lens model has no ray.");
+    let corner = |pixel: Pixel| if pixel.x + pixel.y < 30.0 { 10.0 } else { 0.1 };
+    let steep = ExpectedError::new((640, 480), |pixel| Some(corner(pixel)));
+    assert_eq!(steep.key(), " Yellow is 0.20 px and more; the worst is 10 px.");
+}
+
+#[test]
 fn errors_are_formatted_with_two_digits() {
     for (pixels, text) in [
         (0.00234, "0.0023 px"),

@@ -8,20 +8,21 @@ mod smoothing;
 mod statistics;
 
 use crate::earth::{self, GnssRecord, OnEarth, RECEIVED_FIXES};
-use crate::folder::OutputFolder;
+use crate::folder::{OutputFolder, RUN_FILES};
 use crate::found::{FoundLens, FoundReadout};
 use crate::kept_frames::KeptFrames;
 use crate::marker_statistics::MarkerStatistics;
 use crate::observer::Observer;
 use crate::outcome::{RunEnd, RunOutcome};
 use crate::output::RunOutput;
+use crate::pictures::PageTexts;
 use crate::pipeline::Tracked;
 use crate::place::PoseInMap;
 use crate::plan::RunPlan;
 use crate::report::RunReporter;
 use crate::resemblance::Resemblance;
 use crate::ros_bag::RosBagWriter;
-use crate::statistics::interruption;
+use crate::statistics::stopped_early;
 use crate::stillness::stillness_warning;
 use crate::{files, pictures, reference, tilt};
 use abrupt::widen_abrupt;
@@ -381,17 +382,12 @@ impl Finishing<'_> {
             self.write_earth_mosaic(&place.anchor)?;
         }
         let tracked = &self.tracked;
-        let interruption = (tracked.interrupted && tracked.live.is_none())
-            .then(|| interruption(frames.len() as u64, tracked.announced));
-        pictures::write_page(
-            self.plan,
-            &shown,
-            &drawn,
-            &tracked.warnings,
-            interruption.as_deref(),
-            self.folder,
-            reporter,
-        )?;
+        let early = || stopped_early(frames.len() as u64, tracked.announced, tracked.live.as_ref());
+        let interruption = tracked.interrupted.then(early).flatten();
+        let beside = files_beside(self.folder, tracked.mapping.written());
+        let told =
+            PageTexts { warnings: &tracked.warnings, interruption: interruption.as_deref(), files: &beside };
+        pictures::write_page(self.plan, &shown, &drawn, &told, self.folder, reporter)?;
         if let Err(error) = drawn.ground {
             self.failure.get_or_insert(error);
         }
@@ -445,4 +441,14 @@ impl Finishing<'_> {
             }),
         }
     }
+}
+
+/// Names of the files in the folder that the report can name, in the order of `RUN_FILES`: those
+/// that were written, the map, and the statistics, which are written last.
+fn files_beside(folder: &OutputFolder, map: Option<&Path>) -> Vec<&'static str> {
+    let is_there = |name: &str| {
+        let path = folder.path().join(name);
+        name == "stats.json" || folder.has_written(&path) || map == Some(path.as_path())
+    };
+    RUN_FILES.into_iter().filter(|name| *name != "report.html" && is_there(name)).collect()
 }

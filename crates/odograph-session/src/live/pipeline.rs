@@ -90,6 +90,8 @@ pub fn follow(
         status_sent: None,
         layers: PageLayers::default(),
     };
+    let whole = plan.source.start_s.is_none() && plan.source.end_s.is_none();
+    let announced = opened.source.info().frame_count.filter(|_| whole);
     let ended = capture(opened.source, Arc::clone(&following.queue));
     ending.observer.tracking_begins(None);
     let outcome = following.run(ground, &mut mapping);
@@ -108,6 +110,7 @@ pub fn follow(
     let failure = outcome.err().or(failure).or(not_kept);
     let (mut tracked, mut folder) = following.end(plan, mapping, views, warnings, dropped, failure);
     tracked.interrupted = ending.observer.is_stop_asked() || hub.stop_asked();
+    tracked.announced = announced;
     let (gnss, left_out) = gnss.finish();
     tracked.warnings.extend(left_out);
     let ending = Ending { sensors: &sensors, gnss: gnss.as_ref(), ..*ending };

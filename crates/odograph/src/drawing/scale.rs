@@ -42,20 +42,22 @@ pub fn length_unit(step_m: f64) -> (&'static str, f64) {
     }
 }
 
-/// A length as people say it: three digits and a unit from µm to km.
+/// A length as people say it: three digits and a unit from mm to km. Lengths below a millimetre
+/// are in millimetres, too, so that they compare with those beside them; µm begin below 10 µm.
 pub fn length_text(length_m: f64) -> String {
     let (unit, size) = match length_m.abs() {
         l if l >= 9_999.5 => ("km", 1000.0),
         l if l >= 0.9995 => ("m", 1.0),
         l if l >= 0.09995 => ("cm", 0.01),
-        l if l >= 0.000_999_5 || l == 0.0 => ("mm", 0.001),
+        l if l >= 9.995e-6 || l == 0.0 => ("mm", 0.001),
         _ => ("µm", 1e-6),
     };
     let value = length_m / size;
     let decimals = match value.abs() {
         v if v >= 99.95 => 0,
         v if v >= 9.995 => 1,
-        _ => 2,
+        v if v >= 0.09995 => 2,
+        _ => 3,
     };
     if length_m == 0.0 { "0 m".into() } else { format!("{value:.decimals$} {unit}").replace('-', "−") }
 }
@@ -112,5 +114,8 @@ mod tests {
         assert_eq!(length_text(12.3456), "12.3 m");
         assert_eq!(length_text(-0.5), "−50.0 cm");
         assert_eq!(length_text(0.0), "0 m");
+        assert_eq!(length_text(0.000_891), "0.89 mm");
+        assert_eq!(length_text(0.000_012_3), "0.012 mm");
+        assert_eq!(length_text(0.000_002_5), "2.50 µm");
     }
 }

@@ -68,7 +68,8 @@ pub struct Evaluation {
     /// Time from the first to the last compared pose as a fraction of the ground truth's duration,
     /// 0 to 1; `None` for a ground truth of a single pose.
     pub time_covered: Option<f64>,
-    /// Path length of the aligned estimate through its compared poses, metres.
+    /// Path length of the estimate through its compared poses, metres, whatever the alignment: the
+    /// scale of one has no part in it.
     pub estimate_length_m: f64,
     /// Path length of the ground truth through its compared poses, metres.
     pub truth_length_m: f64,
@@ -111,11 +112,11 @@ pub fn evaluate(
     let mut pairs = associate(estimate, truth, options.max_time_difference_s)?;
     let scale = alignment::scale(&pairs);
     let alignment = alignment::fit(&pairs, options.alignment)?;
+    let truth_length_m = *association::path_m(&pairs, |pair| &pair.truth).last().unwrap_or(&0.0);
+    let estimate_length_m = *association::path_m(&pairs, |pair| &pair.estimate).last().unwrap_or(&0.0);
     for pair in &mut pairs {
         pair.estimate = alignment.apply(&pair.estimate);
     }
-    let truth_length_m = *association::path_m(&pairs, |pair| &pair.truth).last().unwrap_or(&0.0);
-    let estimate_length_m = *association::path_m(&pairs, |pair| &pair.estimate).last().unwrap_or(&0.0);
     // Halving before subtracting avoids overflow for extreme times; only the ratio of the spans
     // matters.
     let span = |first: f64, last: f64| 0.5 * last - 0.5 * first;

@@ -43,6 +43,17 @@ fn statistics_agree_with_numpy() {
 }
 
 #[test]
+fn an_alignment_by_scale_leaves_the_stated_length() {
+    let truth = drive(101, 0.1, 0.01);
+    let long = moved(&truth, &Isometry3::translation(1.0, 2.0, 0.0), 1.02);
+    for alignment in [Alignment::None, Alignment::Se3, Alignment::Sim3] {
+        let e = evaluate(&long, &truth, &with(alignment)).unwrap();
+        assert!((e.truth_length_m - 10.0).abs() < 1e-9, "{alignment}: {}", e.truth_length_m);
+        assert!((e.estimate_length_m - 10.2).abs() < 1e-9, "{alignment}: {}", e.estimate_length_m);
+    }
+}
+
+#[test]
 fn a_known_error_is_measured() {
     // A scale error of 2 %, and a heading drift of 0.1° per metre at 10 cm per frame.
     let truth = drive(101, 0.1, 0.0);

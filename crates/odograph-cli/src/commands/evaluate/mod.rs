@@ -196,8 +196,9 @@ pub fn evaluate(arguments: EvaluateArguments) -> Result<Outcome> {
         let _made = files::MadeFolders::of_file(path)?;
         files::write(path, evaluation_plot::svg(&title, &evaluation, &truth.trajectory).as_bytes())?;
     }
-    // The ground of KITTI's poses is not x and y.
-    let over_ground_m = (estimate.timed && truth.timed).then(|| compared_over_ground_m(&evaluation));
+    // The ground of KITTI's poses is not x and y, and a scale of 0 has left no length.
+    let has_ground = estimate.timed && truth.timed && evaluation.alignment.scale > 0.0;
+    let over_ground_m = has_ground.then(|| compared_over_ground_m(&evaluation));
     print_result(&arguments, &options, &evaluation, over_ground_m)?;
     Ok(Outcome::Done)
 }
@@ -227,7 +228,7 @@ pub fn over_ground_m(places_m: impl IntoIterator<Item = [f64; 2]>) -> f64 {
 }
 
 /// Lengths over the ground of truth and estimate through the compared poses, metres; that of the
-/// estimate with the scale of the alignment, in its own world, whose z axis is up.
+/// estimate without the scale of the alignment, in its own world, whose z axis is up.
 fn compared_over_ground_m(evaluation: &Evaluation) -> [f64; 2] {
     let estimate_from_truth = evaluation.alignment.truth_from_estimate.inverse();
     let pairs = &evaluation.pairs;
@@ -235,7 +236,7 @@ fn compared_over_ground_m(evaluation: &Evaluation) -> [f64; 2] {
         over_ground_m(pairs.iter().map(|pair| [pair.truth.translation.x, pair.truth.translation.y])),
         over_ground_m(pairs.iter().map(|pair| {
             let place = (estimate_from_truth * pair.estimate).translation;
-            [place.x, place.y]
+            [place.x / evaluation.alignment.scale, place.y / evaluation.alignment.scale]
         })),
     ]
 }

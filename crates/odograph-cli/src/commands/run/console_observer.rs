@@ -1,13 +1,14 @@
 //! Progress of a run on the console.
 
 use crate::{console, interrupt};
-use indicatif::{ProgressBar, ProgressStyle};
+use indicatif::{ProgressBar, ProgressState, ProgressStyle};
 use odograph::camera::Camera;
 use odograph::formats::decimal::Rounded;
 use odograph::trajectory::{FrameEstimate, TrackStatus};
 use odograph_session::{Observer, RunPlan, RunStatistics};
 use odograph_video::SourceInfo;
 use serde_json::json;
+use std::fmt;
 use std::io::{Write, stderr};
 use std::sync::{Mutex, MutexGuard, PoisonError};
 use std::time::Instant;
@@ -259,12 +260,33 @@ fn camera_line(camera: &Camera) -> String {
 fn progress(frames: Option<u64>, again: &str) -> ProgressBar {
     let bar = frames.map_or_else(ProgressBar::new_spinner, ProgressBar::new);
     let template = match (frames, again.is_empty()) {
-        (Some(_), true) => "{bar:40} {pos}/{len} frames, {per_sec}, {eta} left",
+        (Some(_), true) => "{bar:40} {pos}/{len} frames, {rate}, {eta} left",
         (Some(_), false) => "{bar:20} {pos}/{len}, {eta} left{msg}",
-        (None, _) => "{spinner} {pos} frames, {per_sec}{msg}",
+        (None, _) => "{spinner} {pos} frames, {rate}{msg}",
     };
     if let Ok(style) = ProgressStyle::with_template(template) {
-        bar.set_style(style);
+        let rate = |state: &ProgressState, text: &mut dyn fmt::Write| {
+            let _ = text.write_str(&rate_text(state.per_sec()));
+        };
+        bar.set_style(style.with_key("rate", rate));
     }
     bar.with_message(again.to_owned())
+}
+
+/// Frames per second, whole ones from ten on.
+fn rate_text(frames_per_s: f64) -> String {
+    let decimals = usize::from(frames_per_s < 9.95);
+    format!("{frames_per_s:.decimals$}/s")
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn rates_have_the_digits_that_matter() {
+        for (rate, text) in [(102.8558, "103/s"), (9.97, "10/s"), (2.345, "2.3/s"), (0.0, "0.0/s")] {
+            assert_eq!(rate_text(rate), text);
+        }
+    }
 }

@@ -19,7 +19,7 @@ pub fn print_summary(outcome: &RunOutcome, quiet: bool, json: bool) -> Result<()
     }
     tell_warnings(outcome, "");
     losses(&lost_stretches(&outcome.trajectory));
-    if let Some(interruption) = statistics.interruption() {
+    if let Some(interruption) = statistics.stopped_early() {
         console::warn(&format!("{interruption}; what there is up to there has been written"));
     }
     if outcome.end == RunEnd::TrackingFailed {
