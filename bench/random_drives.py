@@ -195,8 +195,9 @@ def row(program, seed, photos):
             plain.append([pose[0, 3], pose[1, 3], heading(pose[:3, :3])])
     share, errors, posed = against(truth, estimate)
     of_opencv, _, _ = against(truth, np.array(plain))
-    squares = (errors**2).sum(axis=1) / 2 / variance
-    nees = np.nanmean(squares[posed & (variance > 0)]) if posed.sum() > 1 else math.nan
+    stated = posed & (variance > 0)  # the first pose is exact
+    squares = (errors[stated] ** 2).sum(axis=1) / 2 / variance[stated]
+    nees = squares.mean() if stated.any() else math.nan
     marks = [("LOST", posed.mean() < 0.995), ("WORSE", not share <= of_opencv), ("NEES", nees > 8)]
     marks = " ".join(mark for mark, applies in marks if applies)
     rmse_mm = 1e3 * math.sqrt(np.mean((errors[posed] ** 2).sum(axis=1))) if posed.any() else math.nan
