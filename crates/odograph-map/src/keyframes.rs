@@ -45,7 +45,7 @@ impl MapFile {
     /// all of it is stored when this returns, or nothing.
     ///
     /// Fails if the id has been used before, the image does not have the camera's size, a pose is
-    /// not finite, or the covariance is none.
+    /// not finite, or the covariance is invalid.
     pub fn add_keyframe(
         &mut self,
         keyframe: &MapKeyframe,
@@ -72,7 +72,7 @@ impl MapFile {
     /// has it.
     ///
     /// Fails if the id has been used before, the image cannot be decoded or does not have the size
-    /// of the session's camera, a pose is not finite, or the covariance is none.
+    /// of the session's camera, a pose is not finite, or the covariance is invalid.
     pub fn add_numbered_keyframe(
         &mut self,
         keyframe: &MapKeyframe,
@@ -119,7 +119,7 @@ impl MapFile {
             [&keyframe.pose, &keyframe.odometry_pose].into_iter().all(is_pose) && keyframe.time_s.is_finite();
         let what = match whole {
             false => Some("a pose that is not finite"),
-            true if !is_covariance(&keyframe.covariance) => Some("a covariance that is none"),
+            true if !is_covariance(&keyframe.covariance) => Some("an invalid covariance"),
             true => None,
         };
         if let Some(what) = what {
@@ -243,8 +243,7 @@ impl MapFile {
             if ![keyframe.pose, keyframe.odometry_pose].iter().all(is_pose) {
                 return Err(bad("a pose that no camera can have"));
             }
-            let covariance =
-                symmetric_from_bytes(&covariance).ok_or_else(|| bad("a covariance that is none"))?;
+            let covariance = symmetric_from_bytes(&covariance).ok_or_else(|| bad("an invalid covariance"))?;
             let signature = Signature::from_bytes(&signature.ok_or_else(|| bad("no signature"))?)
                 .map_err(|error| self.complaint.damage(format!("keyframe {}: {error}", keyframe.id.0)))?;
             keyframes.push(MapKeyframe { covariance, signature, ..keyframe });

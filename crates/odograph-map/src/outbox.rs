@@ -122,7 +122,7 @@ impl Outbox {
         while let Some(row) = rows.next().while_reading(&file.complaint)? {
             let (keyframe, covariance, _) = keyframes::read(row).while_reading(&file.complaint)?;
             let covariance = symmetric_from_bytes(&covariance).ok_or_else(|| {
-                file.complaint.damage(format!("keyframe {} has a covariance that is none", keyframe.id.0))
+                file.complaint.damage(format!("keyframe {} has an invalid covariance", keyframe.id.0))
             })?;
             if !is_pose(&keyframe.odometry_pose) || !keyframe.time_s.is_finite() {
                 let id = keyframe.id.0;

@@ -265,7 +265,7 @@ fn the_path_lies_over_the_ground_it_saw() {
     let page = report_over_ground(&frames);
     assert_sound(&page);
     let [said, shown] = ["<p class=\"readout\"", "<div class=\"view\""].map(|part| page.find(part).unwrap());
-    assert!(said < shown, "the frame pointed at is told below the picture, off a small screen");
+    assert!(said < shown, "the frame pointed at is described below the picture, off a small screen");
     let over = page.split("<div class=\"over\">").nth(1).unwrap().split("</svg>").next().unwrap();
     assert!(over.contains("viewBox=\"-0.5 -0.5 400 200\""), "{over}");
     // Two segments, each with its casing; from the origin, over a quarter of the eight to (1.6, 0).

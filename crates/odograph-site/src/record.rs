@@ -155,7 +155,7 @@ impl Record {
             return Err(malformed("is longer than it says"));
         }
         let head: RecordHead = serde_json::from_slice(head)
-            .map_err(|error| malformed(&format!("has a head that is none: {error}")))?;
+            .map_err(|error| malformed(&format!("has an invalid head: {error}")))?;
         let number = head.number;
         let sound = head.after.is_none_or(|after| after < number) && number < u64::MAX >> 2;
         if !sound || head.edges.len() > MAX_EDGES {

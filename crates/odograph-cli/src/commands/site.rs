@@ -287,14 +287,14 @@ fn serve(arguments: &ServeSiteArguments) -> Result<Outcome> {
     if !arguments.quiet {
         console::note(&format!("the site is at {}; Ctrl-C ends it", server.url()));
     }
-    let mut is_told = false;
+    let mut is_reported = false;
     while !interrupt::asked() {
-        if let Some(failure) = site.failure().filter(|_| !is_told) {
+        if let Some(failure) = site.failure().filter(|_| !is_reported) {
             console::warn(&format!(
                 "nothing is merged any more: {failure}; what robots send is kept; put that right, and start the \
                  site again"
             ));
-            is_told = true;
+            is_reported = true;
         }
         thread::sleep(Duration::from_millis(100));
     }

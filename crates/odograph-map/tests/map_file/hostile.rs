@@ -129,7 +129,7 @@ fn errors_name_the_invalid_content() {
         ("UPDATE keyframes SET height_m = 0 WHERE id = 2", "keyframe 2 has a pose"),
         ("UPDATE keyframes SET time_s = 'noon' WHERE id = 2", "what no map holds"),
         ("UPDATE keyframes SET session = -1 WHERE id = 2", "what no map holds"),
-        ("UPDATE keyframes SET covariance = x'0102' WHERE id = 2", "keyframe 2 has a covariance"),
+        ("UPDATE keyframes SET covariance = x'0102' WHERE id = 2", "keyframe 2 has an invalid covariance"),
         ("UPDATE odograph_signature SET bytes = x'0102' WHERE keyframe = 2", "keyframe 2: a signature"),
         ("DELETE FROM odograph_signature WHERE keyframe = 2", "keyframe 2 has no signature"),
         ("DELETE FROM odograph_image WHERE keyframe = 2", "image of keyframe 2 is missing"),

@@ -128,7 +128,7 @@ fn invalid_keyframes_are_rejected_without_changing_the_map() {
     // What would make the map unreadable.
     let mut doubtful = keyframe(2, 0);
     doubtful.covariance[(4, 4)] = -1.0;
-    assert!(sentence(map.add_keyframe(&doubtful, &image(2), &[])).contains("a covariance that is none"));
+    assert!(sentence(map.add_keyframe(&doubtful, &image(2), &[])).contains("an invalid covariance"));
     assert!(
         sentence(map.add_keyframe(&keyframe(1, 0), &image(1), &[])).contains("cannot be written"),
         "number given twice"

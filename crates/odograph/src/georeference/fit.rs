@@ -149,8 +149,9 @@ impl Fitted {
 const GATE_SQUARED: f64 = 18.4;
 /// Standard deviations up to which a residual counts nearly in full.
 const LOSS: Loss = Loss::Cauchy(3.0);
-/// Reduction of the squared residuals by which a scale or another place of the antenna is shown;
-/// noise does so in one of a million recordings, or of a quarter of a million.
+/// Reduction of the squared residuals by which a scale, or another place of the antenna, is
+/// significant: noise reaches it in one of two million recordings for the scale (one unknown), and
+/// in one of 270,000 for the antenna (two).
 const SHOWN: f64 = 25.0;
 /// Standard deviation of a scale: of a height measured with a tape.
 const SCALE_SIGMA: f64 = 0.03;

@@ -33,7 +33,7 @@ pub(crate) fn raw_image<'a>(topic: &Topic, data: &'a [u8]) -> Result<RawImage<'a
 
 impl RawImage<'_> {
     /// Layout of an encoding of `sensor_msgs/image_encodings`; `None` if it is not read. Samples of
-    /// two bytes have so many bits.
+    /// two bytes have this number of bits in use.
     fn layout(&self, bits: u32) -> Option<SampleLayout> {
         Some(match self.encoding.as_ref() {
             "mono8" | "8UC1" | "8uc1" => SampleLayout::Gray,
@@ -96,7 +96,7 @@ pub(crate) fn gray_bits(topic: &Topic, data: &[u8]) -> Option<u32> {
     BITS.into_iter().find(|bits| most < 1 << bits)
 }
 
-/// Decodes the image of a message; samples of two bytes have so many `bits`.
+/// Decodes the image of a message; samples of two bytes have `bits` in use.
 ///
 /// Fails if it is damaged, or in an encoding that is not read.
 pub(crate) fn picture(topic: &Topic, data: &[u8], bits: u32, color: bool) -> Result<Picture> {
