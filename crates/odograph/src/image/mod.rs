@@ -86,6 +86,24 @@ impl GrayImage {
         self.samples.resize(width * height, 0);
     }
 
+    /// The gray level at a place, by bilinear interpolation; `None` outside the pixels' centres.
+    #[inline]
+    pub fn bilinear(&self, x: f64, y: f64) -> Option<f64> {
+        if !(x >= 0.0 && y >= 0.0) {
+            return None;
+        }
+        let (left, top) = (x as usize, y as usize);
+        let (u, v) = (x - left as f64, y - top as f64);
+        if left + 1 >= self.width || top + 1 >= self.height {
+            return None;
+        }
+        let at = top * self.width + left;
+        let [a, b] = [self.samples[at], self.samples[at + 1]].map(f64::from);
+        let [c, d] = [self.samples[at + self.width], self.samples[at + self.width + 1]].map(f64::from);
+        let (above, below) = (a + (b - a) * u, c + (d - c) * u);
+        Some(above + (below - above) * v)
+    }
+
     /// Makes `into` the transposed image: its rows are the columns of this one.
     pub fn transpose_into(&self, into: &mut Self) {
         /// Side length of the blocks that are copied one after the other, so that both images are

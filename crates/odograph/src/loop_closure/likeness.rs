@@ -192,7 +192,7 @@ fn compared(
         for (i, &sample) in row.iter().enumerate() {
             let sums = &mut sums[j / FINE * GROUPS + i / FINE];
             sums[0] += f64::from(sample);
-            sums[1] += bilinear(there, x + i as f64 * dx, y + i as f64 * dy)?;
+            sums[1] += there.bilinear(x + i as f64 * dx, y + i as f64 * dy)?;
         }
     }
     let all = (FINE * FINE) as f64;
@@ -202,25 +202,6 @@ fn compared(
     }
     let radial = [0, 1].map(|k| 0.25 * corners.iter().map(|corner| corner.radial[k]).sum::<f64>());
     Some(OverlapCell { ratios: sums.map(|[here, there]| (here / there).ln()), radial })
-}
-
-/// The sample at a place of an image; `None` outside it.
-#[inline]
-fn bilinear(image: &GrayImage, x: f64, y: f64) -> Option<f64> {
-    if !(x >= 0.0 && y >= 0.0) {
-        return None;
-    }
-    let (left, top) = (x as usize, y as usize);
-    let (u, v) = (x - left as f64, y - top as f64);
-    if left + 1 >= image.width() || top + 1 >= image.height() {
-        return None;
-    }
-    let at = top * image.width() + left;
-    let samples = image.samples();
-    let [a, b] = [samples[at], samples[at + 1]].map(f64::from);
-    let [c, d] = [samples[at + image.width()], samples[at + image.width() + 1]].map(f64::from);
-    let (above, below) = (a + (b - a) * u, c + (d - c) * u);
-    Some(above + (below - above) * v)
 }
 
 #[cfg(test)]

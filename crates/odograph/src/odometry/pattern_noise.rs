@@ -11,9 +11,10 @@
 use super::Odometry;
 use super::last_pose::seen_apart;
 use super::texture::is_bare;
+use crate::camera::PosedCamera;
 use crate::fixed_pattern::{NonuniformityCorrection, SinceLast};
-use crate::geometry::GroundPose;
-use crate::image::{GrayImage, Pyramid};
+use crate::geometry::{GroundPose, Pixel};
+use crate::image::{GrayImage, Pyramid, noise_variance};
 use crate::motion::{CoarseOptions, GroundView};
 use std::collections::VecDeque;
 
@@ -54,6 +55,13 @@ const AWAY_FRAMES: u64 = INTERVAL / 2;
 /// Least way of the tracker in two intervals in which a pattern is learned, pixels: a camera that
 /// vibrates on the spot would learn the ground.
 const GOES_ON_PX: f64 = 24.0;
+
+/// Poses explain the change between two images if less than this part of its square, without that
+/// of the noise, is left where the same ground is compared.
+const UNEXPLAINED: f64 = 0.5;
+
+/// Pixels from one that is compared to the next.
+const COMPARED_EVERY: usize = 4;
 
 /// Largest turn in an interval, radians: 75°/s at 30 frames/s.
 const MOST_TURN_RAD: f64 = 0.35;
@@ -222,6 +230,12 @@ impl Odometry {
         if is_bare(&change) {
             return MotionBelow::None;
         }
+        if before
+            .zip(pose)
+            .is_some_and(|(before, pose)| self.explain(&change, [(second, &before), (image, pose)]))
+        {
+            return MotionBelow::Followed;
+        }
         let from = before.unwrap_or(self.first_pose);
         let registration = self.recovery.registration();
         let view = |image| registration.view(&Pyramid::new(image, self.config.flow.levels), None, &from);
@@ -242,6 +256,31 @@ impl Odometry {
         let is_below_a_pattern =
             view(difference(second, first)).zip(view(change)).is_some_and(|(a, b)| moves(a, b)) && stays();
         if is_below_a_pattern { MotionBelow::NotFollowed } else { MotionBelow::Unclear }
+    }
+
+    /// Whether the poses of two images explain most of the change between them: a camera that
+    /// vibrates by less than what counts as a movement, and not a pattern that hides the ground.
+    fn explain(
+        &self,
+        change: &GrayImage,
+        [(before, from), (now, to)]: [(&GrayImage, &GroundPose); 2],
+    ) -> bool {
+        let (camera, from) = (&self.camera, PosedCamera::new(&self.camera, *from));
+        let noise = noise_variance(change);
+        let (mut changes, mut left) = (0.0, 0.0);
+        for y in (0..now.height()).step_by(COMPARED_EVERY) {
+            for x in (0..now.width()).step_by(COMPARED_EVERY) {
+                let then = camera.ray_from_pixel(Pixel::new(x as f64, y as f64)).and_then(|ray| {
+                    let seen = from.see(to.ground_from_ray(ray)?)?;
+                    before.bilinear(seen.pixel.x, seen.pixel.y)
+                });
+                let Some(then) = then else { continue };
+                let change_from = |before: f64| (f64::from(now.row(y)[x]) - before).powi(2) - noise;
+                changes += change_from(f64::from(before.row(y)[x]));
+                left += change_from(then);
+            }
+        }
+        left < UNEXPLAINED * changes
     }
 
     /// Removes the pattern from all images to come, and from the keyframe.

@@ -81,6 +81,18 @@ fn a_camera_that_vibrates_on_the_spot_learns_no_pattern() {
 }
 
 #[test]
+fn a_camera_that_trembles_by_less_than_a_movement_learns_no_pattern() {
+    let world = World::new("tiles");
+    // A pixel at frequencies whose phases differ at each look.
+    let wave = |number: usize, turns: f64| (std::f64::consts::TAU * turns * number as f64).sin();
+    let shaken = |number: usize| at(0.0015 * wave(number, 0.29), 0.0015 * wave(number, 0.36), 0.0);
+    let images = (0..250).map(|number| world.image(shaken(number), number as u64));
+    let mut odometry = world.odometry();
+    process(&mut odometry, images);
+    assert!(odometry.correction().is_none());
+}
+
+#[test]
 fn the_pattern_is_found_where_the_ground_turns_below_it() {
     let world = World::new("concrete");
     // 54°/s.
