@@ -8,12 +8,22 @@ use crate::mounting::OnlineCalibration;
 const READOUT_S: f64 = 0.020;
 
 fn drive(readout_s: f64, seed: u64) -> Simulation {
+    drive_at((0.6, 1.0), 1.2, readout_s, seed)
+}
+
+/// A straight drive with a speed in m/s and an acceleration in m/s².
+fn drive_at(
+    (speed_m_s, acceleration_m_s2): (f64, f64),
+    length_m: f64,
+    readout_s: f64,
+    seed: u64,
+) -> Simulation {
     let world = World::new("asphalt");
     Simulation::new(SimulationConfig {
         camera: world.camera,
         rig: Rig::level(HEIGHT_M),
         texture: Texture::Asphalt,
-        path: Path::new(PathKind::Straight { length_m: 1.2 }, 0.6, 1.0, true).unwrap(),
+        path: Path::new(PathKind::Straight { length_m }, speed_m_s, acceleration_m_s2, true).unwrap(),
         effects: Effects { readout_s, noise_gray: 2.0, ..Effects::default() },
         fps: 30.0,
         duration_s: None,
@@ -51,6 +61,20 @@ fn the_readout_time_is_estimated_from_a_change_of_speed() {
     let found = end_mm(&drive(READOUT_S, 4), None).1.expect("a start and a stop");
     let (off_s, deviation_s) = ((found.mean_s - READOUT_S).abs(), found.variance_s2.sqrt());
     assert!(off_s < 2e-4 && off_s < 3.0 * deviation_s, "{found:?}");
+}
+
+#[test]
+fn a_skew_of_a_seventh_of_the_view_is_estimated_before_it_misleads() {
+    // The odometry follows as if the shutter were global, and drops the corners that disagree.
+    let simulation = drive_at((4.0, 6.0), 6.0, 0.026, 4);
+    let mut estimation = ReadoutEstimation::new(&World::new("asphalt").camera).unwrap();
+    let mut odometry = World::new("asphalt").odometry();
+    let found = simulation.frames().take(60).find_map(|frame| {
+        let tracked = odometry.process(frame.image, frame.time_s).unwrap();
+        estimation.watch(&tracked, &odometry)
+    });
+    let found = found.or(estimation.at_end()).expect("a start");
+    assert!((found.mean_s - 0.026).abs() < 0.003, "{found:?}");
 }
 
 #[test]
