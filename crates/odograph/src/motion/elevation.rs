@@ -155,8 +155,9 @@ impl Roughness {
     }
 
     /// Adds the points of a frame if it has enough of them; earlier frames are forgotten
-    /// exponentially.
-    pub fn learn(&mut self, now: &Self) {
+    /// exponentially. The standard deviations are those of all that the frame leaves unexplained;
+    /// `noise_share` is the share of noise in their squares. What else is left may be relief.
+    pub fn learn(&mut self, now: &Self, noise_share: f64) {
         if now.count < MIN_POINTS {
             return;
         }
@@ -168,7 +169,7 @@ impl Roughness {
         ] {
             *sum = FORGETTING_FACTOR * *sum + now;
         }
-        let threshold = if self.is_rough { SMOOTH_BELOW } else { ROUGH_ABOVE };
+        let threshold = if self.is_rough { SMOOTH_BELOW * noise_share } else { ROUGH_ABOVE };
         self.is_rough = self.products > threshold * self.count;
     }
 
@@ -215,7 +216,7 @@ const ROUGH_ABOVE: f64 = 12.0;
 /// between noise, which gives 1 where frames share it, and [`ROUGH_ABOVE`].
 const SUSPECTED_ABOVE: f64 = 4.0;
 
-/// Mean product below which rough ground ends (hysteresis). Not derived; chosen.
+/// Mean product, in units of the noise, below which rough ground ends (hysteresis). Not derived; chosen.
 const SMOOTH_BELOW: f64 = 3.0;
 
 /// Threshold of a squared residual over its variance: three standard deviations.
@@ -270,9 +271,18 @@ mod tests {
             of_rough.add(noisy.map(|noise| (elevation_m + noise, 1e6)));
             of_flat.add(noisy.map(|noise| (noise, 1e6)));
         }
-        rough.learn(&of_rough);
-        flat.learn(&of_flat);
+        rough.learn(&of_rough, 1.0);
+        flat.learn(&of_flat, 1.0);
         assert!((rough.variance_m2().sqrt() - 0.005).abs() < 0.001, "{}", rough.variance_m2());
         assert_eq!(flat.variance_m2(), 0.0);
+        // A frame that leaves three times the noise says nothing against relief that was found.
+        let mut unclear = Roughness::default();
+        (0..200).for_each(|_| unclear.add([(0.001 * normal() + 0.001, 1e6); 2]));
+        for noise_share in [0.1, 1.0] {
+            let mut begun = Roughness::default();
+            begun.begin();
+            begun.learn(&unclear, noise_share);
+            assert_eq!(begun.variance_m2() > 0.0, noise_share < 1.0);
+        }
     }
 }

@@ -22,6 +22,8 @@ pub struct Learned {
     inlier_ratio: Option<f64>,
     /// Recent residual of the inliers, pixels.
     residual_px: Option<f64>,
+    /// The smallest residual so far over what white noise of the images explains; grows slowly.
+    least_noise_ratio: Option<f64>,
     /// The shutter; `None` where it is taken to be global.
     shutter: Option<ShutterState>,
     /// How rough the ground is.
@@ -68,6 +70,7 @@ impl Learned {
             rig_prior: RigPriorEstimator::new(first),
             inlier_ratio: None,
             residual_px: None,
+            least_noise_ratio: None,
             shutter: None,
             roughness: Roughness::default(),
             least_relief_m2: (LEAST_RELIEF * first.height_m).powi(2),
@@ -94,6 +97,7 @@ impl Learned {
         }
         self.inlier_ratio = before.inlier_ratio;
         self.residual_px = before.residual_px;
+        self.least_noise_ratio = before.least_noise_ratio;
         self.scale_variance = before.scale_variance;
         self.uneven_frames = before.uneven_frames;
         self.path_m2 = before.path_m2;
@@ -123,7 +127,8 @@ impl Learned {
         camera: &Camera,
     ) -> bool {
         let was_flat = self.relief_m2() == 0.0;
-        self.roughness.learn(&keyframe.learn_elevations(found, estimate, camera));
+        let noise_share = (self.noise_ratio() * estimate.noise_px / estimate.residual_px).powi(2).min(1.0);
+        self.roughness.learn(&keyframe.learn_elevations(found, estimate, camera), noise_share);
         match estimate.uneven {
             Some(Unevenness::Relief) => self.roughness.begin(),
             Some(Unevenness::NewGround) => keyframe.leave_plane(),
@@ -272,13 +277,27 @@ impl Learned {
         }
     }
 
-    /// A frame was measured, and this part of the corners in view agreed, with this residual in
-    /// pixels.
-    pub fn saw(&mut self, inlier_ratio: f64, residual_px: f64) {
+    /// A frame was measured, and this part of the corners in view agreed.
+    pub fn saw(&mut self, inlier_ratio: f64, estimate: &MotionEstimate) {
+        let residual_px = estimate.residual_px;
         for (usual, now) in [(&mut self.inlier_ratio, inlier_ratio), (&mut self.residual_px, residual_px)] {
             let usual = usual.get_or_insert(now);
             *usual += INLIER_RATIO_RATE * (now - *usual);
         }
+        // Whole images that were registered predict no noise.
+        if estimate.noise_px.is_finite() {
+            let ratio = residual_px / estimate.noise_px;
+            let least = self.least_noise_ratio.map_or(ratio, |least| ratio.min(NOISE_CHANGES * least));
+            self.least_noise_ratio = Some(least);
+        }
+    }
+
+    /// What the noise of the images leaves in a fit, over what it would leave if it were white: a
+    /// camera that sharpens, denoises, scales or compresses its images correlates their noise. It
+    /// is what is left in the frame whose residual is least, which shows the ground from nearly
+    /// where its keyframe does.
+    pub fn noise_ratio(&self) -> f64 {
+        self.least_noise_ratio.map_or(1.0, |least| least.max(1.0))
     }
 
     /// Whether the last frames fitted the ground as it is known. A wrong lens is like curved
@@ -299,6 +318,10 @@ impl Learned {
         self.inlier_ratio.map_or(1.0, |usual| (usual / ALL_FOUND_INLIER_RATIO).min(1.0))
     }
 }
+
+/// Growth of the smallest ratio of residual and noise in a frame: noise that changes is learned
+/// within a hundred frames.
+const NOISE_CHANGES: f64 = 1.01;
 
 /// Residual, pixels, below which the ground as it is known explains the tracks: half of what shows
 /// a kerb (`POOR_PX`).

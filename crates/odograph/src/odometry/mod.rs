@@ -495,7 +495,7 @@ impl Odometry {
             keyframe.set_level(&self.camera, self.learned.relief_m2());
         }
         if let Some(inlier_ratio) = inlier_ratio {
-            self.learned.saw(inlier_ratio, estimate.residual_px);
+            self.learned.saw(inlier_ratio, estimate);
         }
     }
 

@@ -89,7 +89,9 @@ impl<'a> PoseFit<'a> {
         let known = self.known_ground();
         let flat = self.fit(known);
         let is_flat = known.relief_m2 == 0.0;
-        let is_poor = flat.as_ref().is_none_or(|flat| flat.residual_px > POOR_PX);
+        let explains =
+            |flat: &MotionEstimate| flat.residual_px <= POOR_PX || is_noise(flat, learned.noise_ratio());
+        let is_poor = !flat.as_ref().is_some_and(explains);
         let may_rise = keyframe.may_leave_plane();
         let highest_m2 = (MAX_KERB_HEIGHT * keyframe.pose.height_m).powi(2);
         if may_rise && (is_poor || new_ground_disagrees(keyframe, self.found, flat.as_ref())) {
@@ -108,7 +110,7 @@ impl<'a> PoseFit<'a> {
             }
             // Elevations of any size would explain a wrong lens, too, but not down to the noise.
             let high = self.fit_if_better(rough(highest_m2), Unevenness::Relief, &flat);
-            if high.as_ref().is_some_and(is_noise) {
+            if high.as_ref().is_some_and(|high| is_noise(high, learned.noise_ratio())) {
                 return high;
             }
             // A camera that is carried freely looks at its first ground with a tilt that no rig
@@ -139,9 +141,10 @@ impl<'a> PoseFit<'a> {
         flat: &Option<MotionEstimate>,
     ) -> Option<MotionEstimate> {
         let uneven = self.fit(ground)?;
-        let factors = if is_noise(&uneven) {
+        let learned = self.tracker.learned;
+        let factors = if is_noise(&uneven, 1.0) {
             OVER_NOISE
-        } else if uneven.residual_px < POOR_PX {
+        } else if uneven.residual_px < POOR_PX || is_noise(&uneven, learned.noise_ratio()) {
             UNEVEN_FACTORS
         } else {
             return None;
@@ -211,8 +214,8 @@ impl<'a> PoseFit<'a> {
     }
 }
 
-/// Where tracks of flat ground are off by more than this, pixels, it may not be flat, or the
-/// shutter rolls, or images are blurred.
+/// Where tracks of flat ground are off by more than this, pixels, and by more than the noise of the
+/// images, it may not be flat, or the shutter rolls, or images are blurred.
 const POOR_PX: f64 = 0.1;
 
 /// Factors by which a freer model must lower the residual.
@@ -242,10 +245,10 @@ const INLIERS_KEPT: f64 = 0.9;
 /// factor, if it does not lower the residual.
 const INLIERS_GAINED: f64 = 1.25;
 
-/// Whether what a fit with elevations leaves is the noise of the images. One component of a track
-/// is across its parallax.
-fn is_noise(uneven: &MotionEstimate) -> bool {
-    uneven.noise_px.is_finite() && uneven.residual_px < NOISE_RATIO * uneven.noise_px
+/// Whether what a fit leaves is the noise of the images, which leaves a multiple of what white
+/// noise would. With elevations it shows in the component of a track across its parallax.
+fn is_noise(fit: &MotionEstimate, ratio: f64) -> bool {
+    fit.noise_px.is_finite() && fit.residual_px < NOISE_RATIO * ratio * fit.noise_px
 }
 
 /// Whether a fit with elevations leaves a residual smaller by a factor than that of one without,
