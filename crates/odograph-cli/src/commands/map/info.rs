@@ -1,5 +1,6 @@
 //! `odograph map info`: what a map holds.
 
+use super::mosaic::stale;
 use super::root;
 use crate::{Outcome, console};
 use odograph::camera::{Camera, Rig};
@@ -113,6 +114,9 @@ struct MosaicInfo {
     width_px: u64,
     height_px: u64,
     levels: u32,
+    /// How far keyframes have moved since it was rendered, if that is visible.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    shift_m: Option<f64>,
 }
 
 /// Runs the command.
@@ -169,9 +173,11 @@ fn gathered(file: &MapFile) -> Result<MapInfo> {
             })
         })
         .collect::<Result<Vec<_>>>()?;
+    let shift_m = file.mosaic_shift_m()?;
     let mosaic = file.mosaic()?.map(|layer| {
         let (width_px, height_px, _) = layer.picture_at(layer.finest);
-        MosaicInfo { metres_per_pixel: layer.resolution_m, width_px, height_px, levels: layer.finest + 1 }
+        let (metres_per_pixel, levels) = (layer.resolution_m, layer.finest + 1);
+        MosaicInfo { metres_per_pixel, width_px, height_px, levels, shift_m }
     });
     let edges = |kind| map.edges.iter().filter(|edge| edge.kind == kind).count();
     Ok(MapInfo {
@@ -277,6 +283,9 @@ fn described(info: &MapInfo, checked: bool) -> String {
                 1000.0 * mosaic.metres_per_pixel,
                 mosaic.levels
             );
+            if let Some(shift_m) = mosaic.shift_m {
+                let _ = writeln!(text, "           {}", stale(shift_m, Path::new(&info.file)));
+            }
         }
         None => text.push_str("mosaic     none; odograph map mosaic renders it\n"),
     }
