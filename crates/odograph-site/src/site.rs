@@ -111,6 +111,7 @@ impl Site {
         let camera = &stored.description.camera;
         for bytes in parts {
             let record = Record::from_bytes(bytes).map_err(RequestRefusal::Malformed)?;
+            record.check_motions(camera, &stored.description.rig).map_err(RequestRefusal::Malformed)?;
             if let Some(image) = &record.image {
                 // An image that cannot be decoded would otherwise be found out after it was
                 // acknowledged.
