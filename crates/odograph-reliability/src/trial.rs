@@ -273,7 +273,7 @@ impl<'a> Trial<'a> {
             report.failures.push(format!("damaged after it was run again: {said}"));
             return Ok(());
         }
-        // A short run says that it renders no mosaic, and a site does when it has nothing else to do.
+        // A short run says that it renders none, and a site does when it has nothing else to do.
         let renders = !self.victim.is_run && self.victim.client.is_none();
         let shift_m = MapFile::open_read_only(&self.map())?.mosaic_shift_m()?;
         if let Some(shift_m) = shift_m.filter(|_| renders) {

@@ -15,8 +15,8 @@ use std::time::{Duration, Instant};
 const CONNECT_PATIENCE: Duration = Duration::from_secs(5);
 /// Time limit for a request and its answer.
 const EXCHANGE_PATIENCE: Duration = Duration::from_secs(60);
-/// Longest pause without a byte sent or received. A site answers when the records are on disk, 0.1 s
-/// after it has them: measured with 16 images of 640x480 pixels (2.2 MB), both cores busy.
+/// Longest pause without a byte sent or received. A site answers when the records are on disk,
+/// 0.1 s after it has them: measured with 16 images of 640x480 pixels (2.2 MB), both cores busy.
 const SILENCE_PATIENCE: Duration = Duration::from_secs(10);
 /// Bytes of a body sent at a time, within that pause each: 6 kB/s are enough.
 const PIECE: usize = 64 << 10;

@@ -21,8 +21,8 @@ const MAX_EDGES: usize = 4096;
 const LARGEST: f64 = 1e12;
 /// Largest accepted coordinate of a pose, metres: half the way around the Earth is twice as far.
 const FARTHEST_M: f64 = 1e7;
-/// Longest accepted motion between two keyframes, metres, whatever its covariance: at 30 m/s a robot
-/// that is lost goes this far in five minutes.
+/// Longest accepted motion between two keyframes, metres, whatever its covariance: at 30 m/s a
+/// robot that is lost goes this far in five minutes.
 const LONGEST_MOTION_M: f64 = 1e4;
 /// Farthest ground from which a motion is measured, in heights of the camera: as far as the search
 /// of a whole image looks.

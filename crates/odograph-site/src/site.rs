@@ -154,8 +154,8 @@ impl Site {
         Ok(known)
     }
 
-    /// Why nothing is merged; `None` while all is well. What robots send is still stored, and merged
-    /// when that is put right.
+    /// Why nothing is merged; `None` while all is well. What robots send is still stored, and
+    /// merged when that is put right.
     pub fn failure(&self) -> Option<String> {
         self.shared.lock_published().failure.clone()
     }

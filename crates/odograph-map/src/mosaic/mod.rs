@@ -211,8 +211,8 @@ impl MapFile {
         Ok(())
     }
 
-    /// How far keyframes have moved at most since the mosaic was rendered, metres; `None` while that
-    /// is less than half of its pixels, which does not change it, or if there is no mosaic.
+    /// How far keyframes have moved at most since the mosaic was rendered, metres; `None` while it
+    /// is less than half of a pixel, which does not change the mosaic, or if there is none.
     pub fn mosaic_shift_m(&self) -> Result<Option<f64>> {
         let Some(layer) = self.mosaic()? else { return Ok(None) };
         let shift_m = staleness::shift_m(&self.connection).while_reading(&self.complaint)?;
