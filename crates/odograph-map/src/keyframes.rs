@@ -31,6 +31,9 @@ const MOVE: &str = "UPDATE keyframes SET geom = ?2, x_m = ?3, y_m = ?4, heading_
                     sd_x_m = ?9, sd_y_m = ?10, sd_heading_rad = ?11, sd_height_m = ?12, sd_roll_rad = ?13, sd_pitch_rad = ?14, \
                     covariance = ?15 WHERE id = ?1";
 
+/// A session and its path.
+type SessionPath = (u32, Vec<PathFrame>);
+
 impl MapFile {
     /// Id of the next keyframe: larger than any id used in this map before.
     pub fn next_keyframe(&self) -> Result<KeyframeId> {
@@ -159,7 +162,7 @@ impl MapFile {
     fn paths_with(
         &self,
         poses: &[(KeyframeId, GroundPose, Matrix6<f64>)],
-    ) -> Result<(Vec<(u32, Vec<PathFrame>)>, f64)> {
+    ) -> Result<(Vec<SessionPath>, f64)> {
         let after: BTreeMap<KeyframeId, GroundPose> =
             poses.iter().map(|(id, pose, _)| (*id, *pose)).collect();
         let mut moves: BTreeMap<u32, Vec<KeyframeMove>> = BTreeMap::new();

@@ -1,6 +1,5 @@
 //! `odograph map info`: what a map holds.
 
-use super::mosaic::stale;
 use super::root;
 use crate::{Outcome, console};
 use odograph::camera::{Camera, Rig};
@@ -226,6 +225,15 @@ fn extent_m(map: &GroundMap) -> Option<[f64; 4]> {
         .iter()
         .map(|keyframe| [keyframe.pose.x_m, keyframe.pose.y_m, keyframe.pose.x_m, keyframe.pose.y_m])
         .reduce(|a, b| [a[0].min(b[0]), a[1].min(b[1]), a[2].max(b[2]), a[3].max(b[3])])
+}
+
+/// What to know of a mosaic that is older than the poses of the keyframes.
+pub fn stale(shift_m: f64, map: &Path) -> String {
+    format!(
+        "older than the poses, which have moved by up to {:.1} mm since; odograph map mosaic {} renders it again",
+        1e3 * shift_m,
+        console::name(map)
+    )
 }
 
 /// Number of parts that the edges leave.

@@ -5,7 +5,7 @@ use crate::{Outcome, console, files, interrupt, lengths};
 use indicatif::{ProgressBar, ProgressStyle};
 use odograph::error::{Error, Result};
 use odograph_map::{MapFile, MosaicLayer};
-use std::path::{Path, PathBuf};
+use std::path::PathBuf;
 
 /// Render the mosaic of a map again, at a chosen resolution.
 ///
@@ -80,15 +80,6 @@ const FINEST_M: f64 = 1e-9;
 
 /// Coarsest resolution, metres per pixel: more than a keyframe shows.
 const COARSEST_M: f64 = 1000.0;
-
-/// What to know of a mosaic that is older than the poses of the keyframes.
-pub fn stale(shift_m: f64, map: &Path) -> String {
-    format!(
-        "older than the poses, which have moved by up to {:.1} mm since; odograph map mosaic {} renders it again",
-        1e3 * shift_m,
-        console::name(map)
-    )
-}
 
 /// Renders the mosaic of a map and stores it there, with a progress bar. Fails if it is
 /// interrupted, or if no keyframe shows the ground.

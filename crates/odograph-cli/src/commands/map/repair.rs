@@ -1,6 +1,6 @@
 //! `odograph map repair`: saves what can be read of a damaged map.
 
-use super::info::pieces;
+use super::info::{pieces, stale};
 use super::mosaic;
 use crate::{Outcome, console, files, interrupt};
 use odograph::error::{Error, Result};
@@ -66,7 +66,7 @@ pub fn repair(arguments: &RepairArguments) -> Result<Outcome> {
         if !arguments.quiet {
             console::print(&nothing_written(damaged, &unfinished, arguments.drop_unfinished))?;
             if let Some(shift_m) = shift_m {
-                console::print(&format!("its mosaic is {}\n", mosaic::stale(shift_m, damaged)))?;
+                console::print(&format!("its mosaic is {}\n", stale(shift_m, damaged)))?;
             }
         }
         return Ok(Outcome::Done);

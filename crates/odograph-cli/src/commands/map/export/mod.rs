@@ -9,7 +9,7 @@ mod picture;
 mod ply;
 mod trajectory;
 
-use super::mosaic::stale;
+use super::info::stale;
 use crate::{Outcome, console, files, interrupt, lengths};
 use anchor::{AnchorArgument, anchor_of};
 use geographic::GeographicForm;
