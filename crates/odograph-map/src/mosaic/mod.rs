@@ -216,8 +216,7 @@ impl MapFile {
     pub fn mosaic_shift_m(&self) -> Result<Option<f64>> {
         let Some(layer) = self.mosaic()? else { return Ok(None) };
         let shift_m = staleness::shift_m(&self.connection).while_reading(&self.complaint)?;
-        // Of a damaged value, too.
-        Ok((!(shift_m <= 0.5 * layer.resolution_m)).then_some(shift_m))
+        Ok((shift_m > 0.5 * layer.resolution_m).then_some(shift_m))
     }
 
     /// Geometry of the mosaic; `None` if there is none.
