@@ -261,7 +261,7 @@ impl SiteClient {
                 stream.write_all(piece)
             })
         });
-        if sent.as_ref().is_err_and(|error| is_late(error)) {
+        if sent.as_ref().is_err_and(is_late) {
             return Err(self.silent(io::ErrorKind::TimedOut.into()));
         }
         let mut bytes = Vec::new();
