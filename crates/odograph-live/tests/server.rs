@@ -273,7 +273,7 @@ fn a_hundred_unresponsive_clients_block_no_other() {
 fn connections_beyond_the_limit_get_status_503() {
     let place = place(None);
     let address = place.server.address();
-    let held: Vec<TcpStream> = (0..MAX_CONNECTIONS).map(|_| connect(address)).collect();
+    let held: Vec<TcpStream> = (0..MAX_CONNECTIONS).map(|_| socket(address)).collect();
     let until = Instant::now() + PATIENCE;
     while place.server.connections() < MAX_CONNECTIONS && Instant::now() < until {
         std::thread::yield_now();
@@ -284,6 +284,14 @@ fn connections_beyond_the_limit_get_status_503() {
     while place.server.connections() > 0 && Instant::now() < until {
         std::thread::sleep(Duration::from_millis(5));
     }
+    assert_eq!(status(&get(address, "/state", "")), "200");
+}
+
+#[test]
+fn connections_without_a_request_make_room_for_others() {
+    let place = place(None);
+    let address = place.server.address();
+    let _held: Vec<TcpStream> = (0..MAX_CONNECTIONS).map(|_| connect(address)).collect();
     assert_eq!(status(&get(address, "/state", "")), "200");
 }
 

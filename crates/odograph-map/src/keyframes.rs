@@ -6,6 +6,7 @@ use crate::file::MapFile;
 use crate::geopackage::{self, Extent, point_geometry};
 use crate::image::{self, StoredImage};
 use crate::markers::{self, MapMarker};
+use crate::mosaic::staleness;
 use crate::numbers::{bytes_from_symmetric, is_covariance, symmetric_from_bytes};
 use crate::origin;
 use crate::paths::{self, KeyframeMove, PathFrame, corrected_path};
@@ -29,6 +30,9 @@ pub(crate) const COLUMNS: &str = "keyframes.id, session, segment, frame, time_s,
 const MOVE: &str = "UPDATE keyframes SET geom = ?2, x_m = ?3, y_m = ?4, heading_rad = ?5, height_m = ?6, roll_rad = ?7, pitch_rad = ?8, \
                     sd_x_m = ?9, sd_y_m = ?10, sd_heading_rad = ?11, sd_height_m = ?12, sd_roll_rad = ?13, sd_pitch_rad = ?14, \
                     covariance = ?15 WHERE id = ?1";
+
+/// A session and its path.
+type SessionPath = (u32, Vec<PathFrame>);
 
 impl MapFile {
     /// Id of the next keyframe: larger than any id used in this map before.
@@ -141,33 +145,37 @@ impl MapFile {
         if let Some((id, ..)) = poses.iter().find(|(_, pose, _)| !is_pose(pose)) {
             return Err(self.complaint.usage(format!("keyframe {} has a pose that is not finite", id.0)));
         }
-        let paths = self.paths_with(poses)?;
+        let (paths, moved_m) = self.paths_with(poses)?;
         let transaction = self.connection.transaction().while_writing(&self.complaint)?;
         move_keyframes(&transaction, poses)
             .and_then(|()| {
                 paths.iter().try_for_each(|(session, path)| paths::write(&transaction, *session, path))
             })
             .and_then(|()| markers::place(&transaction, 0))
+            .and_then(|()| staleness::add(&transaction, moved_m))
             .and_then(|()| transaction.commit())
             .while_writing(&self.complaint)
     }
 
-    /// The paths of all sessions whose keyframes move to new poses, corrected accordingly.
+    /// The paths of all sessions whose keyframes move to new poses, corrected accordingly, and the
+    /// largest move, metres.
     fn paths_with(
         &self,
         poses: &[(KeyframeId, GroundPose, Matrix6<f64>)],
-    ) -> Result<Vec<(u32, Vec<PathFrame>)>> {
+    ) -> Result<(Vec<SessionPath>, f64)> {
         let after: BTreeMap<KeyframeId, GroundPose> =
             poses.iter().map(|(id, pose, _)| (*id, *pose)).collect();
         let mut moves: BTreeMap<u32, Vec<KeyframeMove>> = BTreeMap::new();
+        let mut moved_m = 0.0_f64;
         for (id, session, still) in self.places()? {
             let after = after.get(&id).copied().unwrap_or(still.before);
+            moved_m = moved_m.max(after.distance_m(&still.before));
             moves.entry(session).or_default().push(KeyframeMove { after, ..still });
         }
         moves.retain(|_, moves| moves.iter().any(|moved| moved.before != moved.after));
         let path =
             |(session, moves): (u32, Vec<_>)| Ok((session, corrected_path(&self.path_of(session)?, &moves)));
-        moves.into_iter().map(path).collect()
+        Ok((moves.into_iter().map(path).collect::<Result<_>>()?, moved_m))
     }
 
     /// Id and session of every keyframe, with its current pose as an identity move.

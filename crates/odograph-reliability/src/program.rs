@@ -9,6 +9,9 @@ use std::time::{Duration, Instant};
 /// A command that has not ended by then hangs.
 const PATIENCE: Duration = Duration::from_secs(60);
 
+/// Exit code after a signal that the program heeded.
+pub const INTERRUPTED: i32 = 130;
+
 /// The program under test.
 #[derive(Debug)]
 pub struct Program(PathBuf);
@@ -35,6 +38,18 @@ impl Program {
     /// Starts a command.
     pub fn start(&self, folder: &Path, arguments: &str) -> Result<Child> {
         self.command(folder, arguments).spawn().map_err(cannot_start)
+    }
+
+    /// Runs a command to its end. With a `client` it is a server, which is to end when its client
+    /// has; the outcome is the client's, or that of a server that ended before it.
+    pub fn run_with(&self, folder: &Path, arguments: &str, client: Option<&str>) -> Result<Output> {
+        let Some(client) = client else { return self.run(folder, arguments) };
+        let mut server = self.start(folder, arguments)?;
+        let done = self.run(folder, client)?;
+        signal(&mut server, EndingSignal::Interrupt);
+        let ended = server.wait_with_output().map_err(cannot_start)?;
+        let is_orderly = matches!(ended.status.code(), Some(0 | INTERRUPTED));
+        Ok(if is_orderly { done } else { ended })
     }
 
     /// Runs a command to its end.

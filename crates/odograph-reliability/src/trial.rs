@@ -2,7 +2,7 @@
 
 use crate::leftovers::{damage, files, is_passing};
 use crate::moment::{EndingSignal, Moment};
-use crate::program::{Program, signal, wait};
+use crate::program::{INTERRUPTED, Program, signal, wait};
 use crate::victims::{Inputs, Keyframes, Victim};
 use odograph::error::{Error, Result};
 use odograph_live::TrackRecord;
@@ -10,11 +10,8 @@ use odograph_map::MapFile;
 use std::fs;
 use std::io::Read;
 use std::path::{Path, PathBuf};
-use std::process::ExitStatus;
+use std::process::{ExitStatus, Output};
 use std::time::{Duration, Instant};
-
-/// Exit code after a signal that the program heeded.
-const INTERRUPTED: i32 = 130;
 
 /// What a kill showed.
 #[derive(Debug)]
@@ -48,7 +45,7 @@ pub fn duration(victim: &Victim, program: &Program, inputs: &Inputs) -> Result<D
     for _ in 0..3 {
         trial.prepare()?;
         let begun = Instant::now();
-        let done = program.run(&trial.folder(), &trial.arguments(victim.arguments))?;
+        let done = trial.complete(&trial.folder(), victim.arguments)?;
         longest = longest.max(begun.elapsed());
         if !done.status.success() {
             return Err(Error::input(format!("{}: {}", victim.name, String::from_utf8_lossy(&done.stderr))));
@@ -81,6 +78,12 @@ impl<'a> Trial<'a> {
         of.replace("IN/", &format!("{}/", self.inputs.path("").display()))
     }
 
+    /// Runs a form of the command to its end, with its client.
+    fn complete(&self, folder: &Path, arguments: &str) -> Result<Output> {
+        let client = self.victim.client.map(|client| self.arguments(client));
+        self.program.run_with(folder, &self.arguments(arguments), client.as_deref())
+    }
+
     fn prepare(&self) -> Result<()> {
         let folder = self.folder();
         if folder.exists() {
@@ -98,6 +101,8 @@ impl<'a> Trial<'a> {
         self.prepare()?;
         let before = keyframes(&self.map());
         let mut child = self.program.start(&self.folder(), &self.arguments(self.victim.arguments))?;
+        let client = self.victim.client.map(|client| self.arguments(client));
+        let client = client.map(|client| self.program.start(&self.folder(), &client)).transpose()?;
         std::thread::sleep(self.moment.after);
         // What another process can see now must be there afterwards.
         let seen = if self.moment.watched { keyframes(&self.map()) } else { None };
@@ -105,6 +110,10 @@ impl<'a> Trial<'a> {
         let ended_before = child.try_wait().map_err(cannot)?.is_some();
         signal(&mut child, self.moment.signal);
         let status = wait(&mut child)?;
+        if let Some(mut client) = client {
+            signal(&mut client, EndingSignal::Kill);
+            wait(&mut client)?;
+        }
         let mut said = String::new();
         child.stderr.take().map(|mut stderr| stderr.read_to_string(&mut said)).transpose().map_err(cannot)?;
         let mut report = TrialReport {
@@ -207,7 +216,7 @@ impl<'a> Trial<'a> {
             for (from, to) in self.victim.copies {
                 fs::copy(self.inputs.path(from), folder.join(to)).map_err(cannot)?;
             }
-            self.program.run(&folder, &self.arguments(self.victim.arguments))?;
+            self.complete(&folder, self.victim.arguments)?;
         }
         keyframes(&map).ok_or_else(|| Error::input(format!("{} wrote no map", self.victim.name)))
     }
@@ -250,7 +259,7 @@ impl<'a> Trial<'a> {
     /// The command can be run again, and then all is as it should be.
     fn check_again(&self, report: &mut TrialReport) -> Result<()> {
         let again = self.victim.again.unwrap_or(self.victim.arguments);
-        let done = self.program.run(&self.folder(), &self.arguments(again))?;
+        let done = self.complete(&self.folder(), again)?;
         if !done.status.success() {
             let said = String::from_utf8_lossy(&done.stderr);
             report.failures.push(format!("it cannot be run again: {} {said}", done.status));
@@ -262,6 +271,13 @@ impl<'a> Trial<'a> {
         if !checked.status.success() {
             let said = String::from_utf8_lossy(&checked.stderr);
             report.failures.push(format!("damaged after it was run again: {said}"));
+            return Ok(());
+        }
+        // A short run says that it renders none, and a site does when it has nothing else to do.
+        let renders = !self.victim.is_run && self.victim.client.is_none();
+        let shift_m = MapFile::open_read_only(&self.map())?.mosaic_shift_m()?;
+        if let Some(shift_m) = shift_m.filter(|_| renders) {
+            report.failures.push(format!("the mosaic is off by {shift_m} m for ever"));
         }
         // What the map's writer leaves beside it is gone. (A killed run that is not replaced keeps
         // its own folder as it was.)

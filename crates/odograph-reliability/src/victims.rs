@@ -31,7 +31,7 @@ impl Inputs {
         for (name, noise) in [("monday", 1), ("tuesday", 2)] {
             run(&format!("simulate -o {name} {DRIVE} --noise {noise}"))?;
             let mount = format!("--camera {name}/camera.yaml --rig {name}/rig.toml");
-            run(&format!("run {name}/sim.y4m {mount} -o {name}-run -q"))?;
+            run(&format!("run {name}/sim.y4m {mount} -o {name}-run -q --robot {name}"))?;
         }
         run("map merge monday-run/map.gpkg tuesday-run/map.gpkg -o hall.gpkg -q")?;
         // Keyframes away from where the measurements put them, so that optimising moves them.
@@ -72,6 +72,8 @@ pub enum Keyframes {
 pub struct Victim {
     pub name: &'static str,
     pub arguments: &'static str,
+    /// What runs beside it and is not killed: a robot that sends to a site. A site ends after it.
+    pub client: Option<&'static str>,
     /// How it is run again; `None`: in the same way.
     pub again: Option<&'static str>,
     /// Inputs copied into its folder first, each under a new name.
@@ -93,6 +95,7 @@ pub fn victims() -> Vec<Victim> {
     let run = Victim {
         name: "run",
         arguments: FOLLOW,
+        client: None,
         again: Some(FOLLOW_AGAIN),
         copies: &[],
         map: "out/map.gpkg",
@@ -102,6 +105,7 @@ pub fn victims() -> Vec<Victim> {
     let map = Victim {
         name: "map optimize",
         arguments: "map optimize hall.gpkg -q",
+        client: None,
         again: None,
         copies: &[("bent.gpkg", "hall.gpkg")],
         map: "hall.gpkg",
@@ -142,6 +146,35 @@ pub fn victims() -> Vec<Victim> {
             ),
             ..run
         },
+        Victim {
+            name: "live --map",
+            arguments: "live IN/tuesday/sim.y4m --camera IN/tuesday/camera.yaml --rig IN/tuesday/rig.toml -q -o out \
+                        --realtime 20 --map hall.gpkg",
+            again: Some(
+                "live IN/tuesday/sim.y4m --camera IN/tuesday/camera.yaml --rig IN/tuesday/rig.toml -q -o again \
+                 --realtime 20 --map hall.gpkg",
+            ),
+            copies: &[("monday-run/map.gpkg", "hall.gpkg")],
+            map: "hall.gpkg",
+            ..run
+        },
+        Victim {
+            name: "localize --extend",
+            arguments: "localize IN/tuesday/sim.y4m --map hall.gpkg --extend -q -o out",
+            again: Some("localize IN/tuesday/sim.y4m --map hall.gpkg --extend -q -o again"),
+            copies: &[("monday-run/map.gpkg", "hall.gpkg")],
+            map: "hall.gpkg",
+            ..run
+        },
+        Victim {
+            name: "site serve",
+            arguments: "site serve hall --listen 127.0.0.1:18137 -q",
+            client: Some("site send IN/monday-run/map.gpkg --site http://127.0.0.1:18137/ --robot monday -q"),
+            again: None,
+            map: "hall/map.gpkg",
+            is_run: false,
+            ..run
+        },
         run,
         Victim {
             name: "map merge",
@@ -150,7 +183,12 @@ pub fn victims() -> Vec<Victim> {
             map: "joined.gpkg",
             ..map
         },
-        Victim { name: "map thin", arguments: "map thin hall.gpkg --max-keyframes 6 -q", ..map },
+        Victim {
+            name: "map thin",
+            arguments: "map thin hall.gpkg --max-keyframes 6 -q",
+            copies: &[("hall.gpkg", "hall.gpkg")],
+            ..map
+        },
         Victim { name: "map mosaic", arguments: "map mosaic hall.gpkg --resolution 3mm -q", ..map },
         map,
     ]

@@ -41,6 +41,7 @@ pub struct LinkReport {
 
 /// A running link. Dropped it ends at once; what has not been sent stays in the map.
 pub struct SiteLink {
+    client: SiteClient,
     shared: Arc<LinkState>,
     thread: Option<JoinHandle<()>>,
 }
@@ -75,7 +76,7 @@ impl SiteLink {
         let mut sending = Sending {
             map: map.to_owned(),
             robot: robot.to_owned(),
-            client,
+            client: client.clone(),
             current: None,
             newest: None,
             done: BTreeSet::new(),
@@ -86,7 +87,7 @@ impl SiteLink {
             .name("site".into())
             .spawn(move || sending.run())
             .map_err(|error| Error::output(format!("the thread to the site cannot be started: {error}")))?;
-        Ok(Self { shared, thread: Some(thread) })
+        Ok(Self { client, shared, thread: Some(thread) })
     }
 
     /// Tells whether the robot is lost at the moment; never waits.
@@ -124,6 +125,11 @@ impl SiteLink {
         self.shared.ended.store(true, Ordering::Relaxed);
         self.shared.changed.notify_all();
         if let Some(thread) = self.thread.take() {
+            while !thread.is_finished() {
+                // A request that begins just now may be missed once.
+                self.client.abort();
+                thread::sleep(Duration::from_millis(1));
+            }
             let _ = thread.join();
         }
     }
@@ -182,6 +188,8 @@ impl Sending {
         while !self.is_ended() {
             let finishing = self.is_finishing();
             match self.round(finishing) {
+                // What was cut short is not complete, and says nothing about the site.
+                _ if self.is_ended() => return,
                 Ok(()) => {
                     pause = FIRST_PAUSE;
                     self.report(|report| {

@@ -8,6 +8,7 @@ use odograph::error::{Error, ErrorKind, Result};
 use odograph::slam::SessionScale;
 use odograph_map::{MapClaim, SessionOrigin};
 use std::collections::BTreeMap;
+use std::panic::{self, AssertUnwindSafe};
 use std::path::Path;
 use std::sync::atomic::{AtomicBool, Ordering};
 use std::sync::{Condvar, Mutex, MutexGuard, PoisonError};
@@ -26,6 +27,10 @@ const IDLE: Duration = Duration::from_secs(5);
 /// its duration: at most a tenth of a core is spent on the mosaic.
 const RENDERED_EVERY: Duration = Duration::from_secs(20);
 const RENDERING_REST: u32 = 9;
+
+/// Pause after a failure before merging is tried again, unless a person decides about a robot: a
+/// disk gets room by hand, and opening a map of ten thousand keyframes takes a second or two.
+const RETRIED_AFTER: Duration = Duration::from_secs(10);
 
 /// What the merging thread shares with those that answer requests.
 #[derive(Debug, Default)]
@@ -64,6 +69,10 @@ impl SiteState {
         self.changed.notify_all();
     }
 
+    fn has_failed(&self) -> bool {
+        self.lock_published().failure.is_some()
+    }
+
     fn is_ended(&self) -> bool {
         self.ended.load(Ordering::Relaxed)
     }
@@ -77,6 +86,83 @@ impl SiteState {
         let taken = Work { records: work.records, robots: work.robots, ..Work::default() };
         (work.records, work.robots) = (false, false);
         taken
+    }
+
+    /// Says that merging has failed.
+    fn fail(&self, failure: String) {
+        self.lock_published().failure = Some(failure);
+        self.tell(|work| work.failed = true);
+    }
+
+    /// Says that merging goes on after a failure.
+    fn recover(&self) {
+        if self.lock_published().failure.take().is_some() {
+            self.tell(|work| work.failed = false);
+        }
+    }
+
+    /// Waits until merging is to be tried again, or the site ends. Returns whether it is.
+    fn wait_to_retry(&self) -> bool {
+        let work = self.lock_work();
+        let idle = |work: &mut Work| !work.robots && !self.is_ended();
+        let (mut work, _) = self
+            .changed
+            .wait_timeout_while(work, RETRIED_AFTER, idle)
+            .unwrap_or_else(PoisonError::into_inner);
+        // What is opened again heeds all decisions.
+        work.robots = false;
+        !self.is_ended()
+    }
+}
+
+/// Merges until the site ends. What fails with an error, such as a full disk, is tried again, with
+/// map and records opened anew; a defect of the program would come back.
+pub fn merge(mut merger: Merger, records: &Path, shared: &SiteState) {
+    let claim = merger.claim.clone();
+    while let Some(failure) = failure_of(|| merger.run(shared)) {
+        let retried_s = RETRIED_AFTER.as_secs();
+        match failure {
+            MergingFailure::Defect(text) => {
+                return shared.fail(format!("a defect of the program: {text}; start the site again"));
+            }
+            MergingFailure::Error(error) => {
+                shared.fail(format!("{error}; it is tried again every {retried_s} s"));
+            }
+        }
+        drop(merger);
+        merger = loop {
+            if !shared.wait_to_retry() {
+                return;
+            }
+            match Merger::open(records, claim.clone()) {
+                Ok(opened) => break opened,
+                Err(error) => shared.fail(format!("{error}; it is tried again every {retried_s} s")),
+            }
+        };
+        shared.tell(|work| work.records = true);
+    }
+}
+
+/// Why merging stopped.
+#[derive(Debug)]
+enum MergingFailure {
+    /// A full disk, for example.
+    Error(Error),
+    /// A panic.
+    Defect(String),
+}
+
+/// Why merging ended, if it did not because it was asked to. A panic is a reason, too: nobody may
+/// wait for what is not merged any more.
+fn failure_of(merging: impl FnOnce() -> Result<()>) -> Option<MergingFailure> {
+    // Nothing that the closure was changing is used afterwards.
+    match panic::catch_unwind(AssertUnwindSafe(merging)) {
+        Ok(ended) => ended.err().map(MergingFailure::Error),
+        Err(panic) => {
+            let text = panic.downcast_ref::<String>().map(String::as_str);
+            let text = text.or_else(|| panic.downcast_ref::<&str>().copied()).unwrap_or("no reason given");
+            Some(MergingFailure::Defect(text.to_owned()))
+        }
     }
 }
 
@@ -106,7 +192,8 @@ impl Merger {
     }
 
     pub fn run(&mut self, shared: &SiteState) -> Result<()> {
-        let (mut unsettled, mut unrendered) = (false, false);
+        // A map that is there may be older than the records, and its mosaic older than the map.
+        let (mut unsettled, mut unrendered) = (shared.has_failed(), self.map.is_some());
         let (mut rendered, mut rest) = (None::<Instant>, RENDERED_EVERY);
         // Robots that were withdrawn when the site ended before it could take them out.
         self.take_out_inactive()?;
@@ -132,10 +219,14 @@ impl Merger {
                 self.publish(shared)?;
                 continue;
             }
-            let Some(map) = &mut self.map else { continue };
+            let Some(map) = &mut self.map else {
+                unsettled = false;
+                continue;
+            };
             if unsettled {
                 map.settle()?;
                 unsettled = false;
+                shared.recover();
                 self.publish(shared)?;
             } else if unrendered && rendered.is_none_or(|at| at.elapsed() >= rest) {
                 let begun = Instant::now();
@@ -181,7 +272,7 @@ impl Merger {
             }
             merged += 1;
             match self.merge(&description, sequence) {
-                // The disk may have room again when the site is started again.
+                // The disk may have room again.
                 Err(error) if error.kind() == ErrorKind::Output => return Err(error),
                 // What the record itself is: the other robots are merged without it.
                 Err(error) => {
@@ -197,6 +288,7 @@ impl Merger {
             }
         }
         if merged > 0 {
+            shared.recover();
             self.records.advance_version(merged as u64)?;
             if self.published.is_none_or(|at| at.elapsed() >= PUBLISHED_EVERY) {
                 self.publish(shared)?;
@@ -285,4 +377,21 @@ fn reason(description: &SessionDescription, scale: &SessionScale) -> String {
         scale.ratio * told_m,
         told_m
     )
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_panic_of_the_merging_is_a_failure_of_the_site() {
+        let said = |merging: fn() -> Result<()>| match failure_of(merging) {
+            Some(MergingFailure::Error(error)) => error.to_string(),
+            Some(MergingFailure::Defect(text)) => format!("a defect: {text}"),
+            None => String::new(),
+        };
+        assert_eq!(said(|| Ok(())), "");
+        assert_eq!(said(|| Err(Error::output("the disk is full"))), "the disk is full");
+        assert_eq!(said(|| panic!("keyframe {}", 3)), "a defect: keyframe 3");
+    }
 }

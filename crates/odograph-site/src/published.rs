@@ -27,7 +27,7 @@ pub struct Published {
     heard: BTreeMap<SessionOrigin, (Instant, bool)>,
     /// Number of renderings of the mosaic.
     pub mosaic: u64,
-    /// The error that stopped merging, if any.
+    /// The error that keeps merging from going on, if any.
     pub failure: Option<String>,
 }
 
@@ -41,6 +41,8 @@ struct PublishedSession {
     connected: bool,
     loops: usize,
     scale: Option<(f64, f64)>,
+    /// Why it is probably wrong about itself, if it is.
+    doubt: Option<String>,
     /// x, y, and heading of the keyframes in the map.
     path: Vec<[f64; 3]>,
 }
@@ -67,16 +69,26 @@ impl Published {
             let shown = own.iter().rev().step_by(every).rev();
             let millimetres = |value: f64| (1000.0 * value).round() / 1000.0;
             let scale = mapped.and_then(|(map, mapped)| map.scale(mapped));
+            let own_loops = loops
+                .iter()
+                .filter(|(one, other)| [one.session, other.session].map(Some).contains(&number))
+                .count();
+            // A right robot is connected by the second place.
+            let doubt = scale.filter(|_| own_loops == 0).map(|scale| {
+                format!(
+                    "its ground was recognised at {} places, and no two of them agree on where it is: check its lens, \
+                     focal length, height and mount",
+                    scale.places
+                )
+            });
             sessions.push(PublishedSession {
                 source: session.description.source.clone(),
                 ended: session.ended,
                 records: records.last(session.id)?,
                 keyframes: own.len(),
                 connected: placement.is_some(),
-                loops: loops
-                    .iter()
-                    .filter(|(one, other)| [one.session, other.session].map(Some).contains(&number))
-                    .count(),
+                loops: own_loops,
+                doubt,
                 scale: scale.map(|scale| (scale.ratio, scale.deviation)),
                 path: shown
                     .map(|keyframe| {
@@ -134,6 +146,7 @@ impl Published {
                 "connected": session.connected,
                 "loops": session.loops,
                 "scale": session.scale.map(|(ratio, deviation)| json!({ "ratio": ratio, "deviation": deviation })),
+                "doubt": session.doubt,
                 "path": session.path,
             })
         };

@@ -2,8 +2,10 @@
 //! JSON, the length of an image (4 bytes), the image as JPEG.
 
 use nalgebra::{Cholesky, Matrix2, Matrix4, Matrix6, SMatrix, Vector4};
+use odograph::camera::{Camera, Rig};
 use odograph::error::{Error, Result};
-use odograph::geometry::GroundPose;
+use odograph::geometry::pose_index::{X, Y};
+use odograph::geometry::{GroundPose, Pixel};
 use odograph::keyframe::{EdgeKind, KeyframeId, MapEdge};
 use odograph_map::{OutgoingRecord, StoredImage, is_covariance};
 use serde::{Deserialize, Serialize};
@@ -19,10 +21,17 @@ const MAX_EDGES: usize = 4096;
 const LARGEST: f64 = 1e12;
 /// Largest accepted coordinate of a pose, metres: half the way around the Earth is twice as far.
 const FARTHEST_M: f64 = 1e7;
-/// Longest accepted motion between two keyframes, metres. Keyframes overlap, unless the robot was
-/// lost between them: at 30 m/s it goes this far in five minutes. A longer one would tear the map
-/// of all robots.
+/// Longest accepted motion between two keyframes, metres, whatever its covariance: at 30 m/s a
+/// robot that is lost goes this far in five minutes.
 const LONGEST_MOTION_M: f64 = 1e4;
+/// Farthest ground from which a motion is measured, in heights of the camera: as far as the search
+/// of a whole image looks.
+const FARTHEST_IN_HEIGHTS: f64 = 3.0;
+/// Standard deviations by which a motion may exceed what the views allow. Where a robot was lost,
+/// it is the mean velocity, with half of it as deviation: the motion is at most two of them.
+const MOST_DEVIATIONS: f64 = 3.0;
+/// Sampled points along a side of an image.
+const GRID: usize = 8;
 /// Largest accepted heading, radians: 160,000 turns, of which double precision still tells 1e-10.
 const MOST_TURNED_RAD: f64 = 1e6;
 /// What a correlation may exceed that of a covariance by, for rounding.
@@ -183,6 +192,48 @@ impl Record {
     }
 }
 
+impl Record {
+    /// Checks the motions of the edges. What is measured between two keyframes is ground that both
+    /// show, so that a motion is no longer than twice the view, from below the camera to its far
+    /// end; through keyframes that were removed from the robot's map, twice for each of them. A
+    /// longer one is not measured, and its covariance says so. Fails if it does not.
+    pub fn check_motions(&self, camera: &Camera, rig: &Rig) -> Result<()> {
+        let pose = self.head.keyframe.as_ref().map_or(rig.first_pose(), KeyframeHead::pose);
+        let view_m = 2.0 * reach_m(camera, &pose);
+        for edge in &self.head.edges {
+            let [x_m, y_m, _, log_height_ratio] = edge.motion;
+            let length_m = x_m.hypot(y_m);
+            let covariance = edge.covariance_matrix();
+            let deviation_m = (covariance[(X, X)] + covariance[(Y, Y)]).sqrt();
+            let views = edge.from.abs_diff(edge.to) as f64 * log_height_ratio.abs().exp();
+            if length_m > views * view_m + MOST_DEVIATIONS * deviation_m {
+                return Err(malformed(&format!(
+                    "has a motion of {length_m:.1} m between keyframes {} and {}, certain to {deviation_m:.3} m, by a \
+                     camera that sees {:.1} m",
+                    edge.from,
+                    edge.to,
+                    0.5 * view_m
+                )));
+            }
+        }
+        Ok(())
+    }
+}
+
+/// The farthest ground in view from below the camera, metres.
+fn reach_m(camera: &Camera, pose: &GroundPose) -> f64 {
+    let at = |k: usize, size: usize| k as f64 / GRID as f64 * (size as f64 - 1.0);
+    let pixels = (0..=GRID).flat_map(|row| (0..=GRID).map(move |column| (column, row)));
+    let farthest_m = FARTHEST_IN_HEIGHTS * pose.height_m;
+    pixels
+        .map(|(column, row)| Pixel::new(at(column, camera.width()), at(row, camera.height())))
+        // What shows no ground looks beyond the horizon.
+        .map(|pixel| camera.ray_from_pixel(pixel).and_then(|ray| pose.ground_from_ray(ray)))
+        .map(|point| point.map_or(farthest_m, |point| (point.x_m - pose.x_m).hypot(point.y_m - pose.y_m)))
+        .fold(0.0, f64::max)
+        .min(farthest_m)
+}
+
 impl KeyframeHead {
     fn is_sound(&self) -> bool {
         let [x_m, y_m, heading_rad, height_m, roll, pitch] = self.pose;
@@ -340,6 +391,31 @@ mod tests {
         let edge = back[1].head.edges[0].edge(|number| Some(KeyframeId(100 + number))).unwrap();
         assert_eq!((edge.from, edge.to), (KeyframeId(101), KeyframeId(102)));
         assert_eq!(edge.covariance, Matrix4::identity() * 1e-6);
+    }
+
+    #[test]
+    fn a_motion_is_within_the_views_or_uncertain() {
+        use odograph::camera::Distortion;
+        let camera = Camera::new((320, 240), (250.0, 250.0), (159.5, 119.5), Distortion::None).unwrap();
+        let is_refused = |change: &dyn Fn(&mut EdgeHead)| {
+            let mut record = record(3);
+            change(&mut record.head.edges[0]);
+            record.check_motions(&camera, &Rig::level(1.2)).is_err()
+        };
+        // From 1.2 m the corners are 0.96 m away.
+        assert!(!is_refused(&|edge| edge.motion[0] = 1.9));
+        assert!(is_refused(&|edge| edge.motion[0] = 2.0));
+        assert!(is_refused(&|edge| edge.motion[1] = -35.0));
+        // Through two keyframes that were removed.
+        assert!(!is_refused(&|edge| (edge.from, edge.motion[0]) = (0, 5.0)));
+        assert!(is_refused(&|edge| (edge.from, edge.motion[0]) = (0, 6.0)));
+        // A robot that was lost for twenty seconds at 1 m/s.
+        let lost = |edge: &mut EdgeHead, deviation_m: f64| {
+            (edge.kind, edge.motion[0]) = (EdgeKind::Gap, 20.0);
+            (edge.covariance[0], edge.covariance[4]) = (deviation_m.powi(2), deviation_m.powi(2));
+        };
+        assert!(!is_refused(&|edge| lost(edge, 10.0)));
+        assert!(is_refused(&|edge| lost(edge, 1.0)));
     }
 
     #[test]

@@ -77,8 +77,10 @@ fn serve(state: &SiteServerState, connection: &Connection, stream: TcpStream) ->
     let admit = |request: &Request| match state.access.judge(request) {
         // Nothing of a stranger's body is read.
         AccessVerdict::Denied => Err(HttpRefusal(403, "Forbidden")),
-        _ if request.path.starts_with("/records/") => Ok(MAX_BODY),
-        _ => Ok(MAX_DESCRIPTION),
+        _ => {
+            connection.set_busy();
+            Ok(if request.path.starts_with("/records/") { MAX_BODY } else { MAX_DESCRIPTION })
+        }
     };
     while !connection.is_ended() {
         let request = match reader.next_admitted(&admit) {
@@ -90,6 +92,7 @@ fn serve(state: &SiteServerState, connection: &Connection, stream: TcpStream) ->
         if !request.keep_alive {
             return Ok(());
         }
+        connection.set_idle();
     }
     Ok(())
 }

@@ -1,6 +1,6 @@
 //! A site: the records of its robots, and a thread that makes the map of them.
 
-use crate::merging::{Merger, SiteState, Work};
+use crate::merging::{self, Merger, SiteState, Work};
 use crate::protocol::{RobotState, SessionDescription, SiteStatus};
 use crate::record::Record;
 use crate::records::{NotStored, RecordStore, StoredSession};
@@ -8,7 +8,6 @@ use odograph::error::{Error, Result};
 use odograph_map::{MapClaim, MapFile, SessionOrigin};
 use serde_json::Value;
 use std::fs;
-use std::panic::{self, AssertUnwindSafe};
 use std::path::{Path, PathBuf};
 use std::sync::atomic::Ordering;
 use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
@@ -52,7 +51,7 @@ impl Site {
             )));
         }
         let records = RecordStore::open(&path)?;
-        let mut merger = Merger::open(&path, claim)?;
+        let merger = Merger::open(&path, claim)?;
         let shared = Arc::new(SiteState::default());
         // What was acknowledged and not merged when the site ended.
         shared.lock_work().records = true;
@@ -61,12 +60,7 @@ impl Site {
             .name("merging".into())
             .spawn({
                 let shared = Arc::clone(&shared);
-                move || {
-                    if let Some(failure) = failure_of(|| merger.run(&shared)) {
-                        shared.lock_published().failure = Some(failure);
-                        shared.tell(|work| work.failed = true);
-                    }
-                }
+                move || merging::merge(merger, &path, &shared)
             })
             .map_err(|error| Error::output(format!("the merging thread cannot be started: {error}")))?;
         let folder = folder.to_owned();
@@ -111,6 +105,7 @@ impl Site {
         let camera = &stored.description.camera;
         for bytes in parts {
             let record = Record::from_bytes(bytes).map_err(RequestRefusal::Malformed)?;
+            record.check_motions(camera, &stored.description.rig).map_err(RequestRefusal::Malformed)?;
             if let Some(image) = &record.image {
                 // An image that cannot be decoded would otherwise be found out after it was
                 // acknowledged.
@@ -159,8 +154,8 @@ impl Site {
         Ok(known)
     }
 
-    /// Why nothing is merged any more; `None` while all is well. What robots send is still stored,
-    /// and merged when the site is opened again.
+    /// Why nothing is merged; `None` while all is well. What robots send is still stored, and
+    /// merged when that is put right.
     pub fn failure(&self) -> Option<String> {
         self.shared.lock_published().failure.clone()
     }
@@ -209,36 +204,5 @@ impl Site {
 impl Drop for Site {
     fn drop(&mut self) {
         self.close();
-    }
-}
-
-/// Why merging ended, if it did not because it was asked to. A panic is a reason, too: nobody may
-/// wait for what is not merged any more.
-fn failure_of(merging: impl FnOnce() -> Result<()>) -> Option<String> {
-    // Nothing that the closure was changing is used afterwards.
-    match panic::catch_unwind(AssertUnwindSafe(merging)) {
-        Ok(ended) => ended.err().map(|error| error.to_string()),
-        Err(panic) => {
-            let text = panic.downcast_ref::<String>().map(String::as_str);
-            let text = text.or_else(|| panic.downcast_ref::<&str>().copied()).unwrap_or("no reason given");
-            Some(format!("a defect of the program: {text}"))
-        }
-    }
-}
-
-#[cfg(test)]
-mod tests {
-    use super::*;
-
-    #[test]
-    fn a_panic_of_the_merging_is_a_failure_of_the_site() {
-        assert_eq!(failure_of(|| Ok(())), None);
-        assert_eq!(
-            failure_of(|| Err(Error::output("the disk is full"))).as_deref(),
-            Some("the disk is full")
-        );
-        let number = 3;
-        let failure = failure_of(|| panic!("keyframe {number}"));
-        assert_eq!(failure.as_deref(), Some("a defect of the program: keyframe 3"));
     }
 }

@@ -179,7 +179,8 @@ impl SiteLinkArguments {
             }
         });
         let link = SiteLink::start(map, robot, SiteClient::new(site.clone()), listening)?;
-        let command = format!("odograph site send {} --site {site} --robot {robot}", map.display());
+        let (map_shown, url) = (console::quoted(map), console::quoted(Path::new(&site.url())));
+        let command = format!("odograph site send {map_shown} --site {url} --robot {robot}");
         Ok(Some(RobotLink { link: Arc::new(link), map: map.to_owned(), command }))
     }
 }
@@ -287,14 +288,17 @@ fn serve(arguments: &ServeSiteArguments) -> Result<Outcome> {
     if !arguments.quiet {
         console::note(&format!("the site is at {}; Ctrl-C ends it", server.url()));
     }
-    let mut is_reported = false;
+    let mut reported = None;
     while !interrupt::asked() {
-        if let Some(failure) = site.failure().filter(|_| !is_reported) {
-            console::warn(&format!(
-                "nothing is merged any more: {failure}; what robots send is kept; put that right, and start the \
-                 site again"
-            ));
-            is_reported = true;
+        let failure = site.failure();
+        if failure != reported {
+            match &failure {
+                Some(failure) => console::warn(&format!(
+                    "nothing is merged at the moment: {failure}; what robots send is kept"
+                )),
+                None => console::note("merging goes on"),
+            }
+            reported = failure;
         }
         thread::sleep(Duration::from_millis(100));
     }
@@ -354,7 +358,10 @@ fn list(state: &Value) -> String {
             Some(state @ ("quarantined" | "withdrawn")) => {
                 format!("{state}: {}", console::name(robot["reason"].as_str().unwrap_or_default()))
             }
-            _ => format!("{}{recognised}", session["condition"].as_str().unwrap_or_default()),
+            _ => {
+                let doubt = session["doubt"].as_str().map_or(String::new(), |doubt| format!(": {doubt}"));
+                format!("{}{recognised}{doubt}", session["condition"].as_str().unwrap_or_default())
+            }
         };
         text += &format!(
             "{name:<16} {} of {} keyframes in the map, {} loops with others, {condition}\n",

@@ -68,7 +68,10 @@ fn a_site_that_merges_nothing_any_more_ends_with_an_error() {
     let camera = format!("--camera {DEMO}/camera.yaml --rig {DEMO}/rig.toml --quiet --max-frames 60");
     done(folder, &format!("run {} {camera} -o one --site {url} --robot one", drive().display()));
     let told = lines.next().unwrap();
-    assert!(told.starts_with("warning: nothing is merged any more: ") && told.contains("map.gpkg"), "{told}");
+    assert!(
+        told.starts_with("warning: nothing is merged at the moment: ") && told.contains("map.gpkg"),
+        "{told}"
+    );
     for (command, shown) in [
         (format!("site robots --site {url}"), "one "),
         (format!("site robots --json --site {url}"), "{"),
@@ -76,7 +79,7 @@ fn a_site_that_merges_nothing_any_more_ends_with_an_error() {
     ] {
         let output = odograph(folder, &command).output().unwrap();
         let told = String::from_utf8(output.stderr).unwrap();
-        assert!(output.status.code() == Some(3) && told.contains("merges nothing any more: "), "{told}");
+        assert!(output.status.code() == Some(3) && told.contains("merges nothing at the moment: "), "{told}");
         let text = String::from_utf8(output.stdout).unwrap();
         assert!(text.starts_with(shown) && text.is_empty() == shown.is_empty(), "{command}: {text}");
     }

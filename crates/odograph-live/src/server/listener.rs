@@ -1,10 +1,12 @@
 //! Accepts connections, each with a thread of its own, up to a limit.
 
 use odograph::error::{Error, Result};
+use std::collections::BTreeMap;
 use std::io::{self, Write};
+use std::net::Shutdown;
 use std::net::{IpAddr, SocketAddr, TcpListener, TcpStream};
-use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, AtomicUsize, Ordering};
+use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
 use std::thread::{self, JoinHandle};
 use std::time::Duration;
 
@@ -23,16 +25,44 @@ pub struct Listener {
 struct ListenerState {
     connections: AtomicUsize,
     ended: AtomicBool,
+    /// The connections that have no request under way, by age: closed to make room.
+    idle: Mutex<BTreeMap<u64, Arc<TcpStream>>>,
+}
+
+impl ListenerState {
+    fn lock_idle(&self) -> MutexGuard<'_, BTreeMap<u64, Arc<TcpStream>>> {
+        self.idle.lock().unwrap_or_else(PoisonError::into_inner)
+    }
+
+    /// Closes the connection that has been idle for longest. Returns whether there was one.
+    fn close_an_idle_one(&self) -> bool {
+        let oldest = self.lock_idle().pop_first();
+        oldest.is_some_and(|(_, stream)| stream.shutdown(Shutdown::Both).is_ok())
+    }
 }
 
 /// One counted connection; releases its slot when dropped.
 #[derive(Debug)]
-pub struct Connection(Arc<ListenerState>);
+pub struct Connection {
+    state: Arc<ListenerState>,
+    number: u64,
+    stream: Arc<TcpStream>,
+}
 
 impl Connection {
     /// Whether the listener has been dropped: the connection should end.
     pub fn is_ended(&self) -> bool {
-        self.0.ended.load(Ordering::Relaxed)
+        self.state.ended.load(Ordering::Relaxed)
+    }
+
+    /// Tells that a request is under way: the connection is not closed to make room for others.
+    pub fn set_busy(&self) {
+        self.state.lock_idle().remove(&self.number);
+    }
+
+    /// Tells that the connection waits for a request, as a new one does.
+    pub fn set_idle(&self) {
+        self.state.lock_idle().insert(self.number, Arc::clone(&self.stream));
     }
 }
 
@@ -50,13 +80,15 @@ pub fn not_served(address: SocketAddr, error: &io::Error) -> Error {
 
 impl Drop for Connection {
     fn drop(&mut self) {
-        self.0.connections.fetch_sub(1, Ordering::Relaxed);
+        self.set_busy();
+        self.state.connections.fetch_sub(1, Ordering::Relaxed);
     }
 }
 
 impl Listener {
     /// Listens at an address, port 0 for any free one, and calls `serve` for each connection in a
-    /// thread of its own. Beyond `most` connections further ones are refused at once.
+    /// thread of its own. Beyond `most` connections the oldest that has no request under way is
+    /// closed for a further one, which is refused at once where there is none.
     ///
     /// # Errors
     /// If the address is not available, or if it can be reached by others without `protected`.
@@ -115,22 +147,24 @@ fn accept<S>(listener: &TcpListener, state: &Arc<ListenerState>, most: usize, se
 where
     S: Fn(&Connection, TcpStream) -> io::Result<()> + Send + Sync + 'static,
 {
-    loop {
+    for number in 0.. {
         let accepted = listener.accept();
         if state.ended.load(Ordering::Relaxed) {
             return;
         }
-        let Ok((stream, _)) = accepted else {
+        let opened = accepted.and_then(|(stream, _)| Ok((Arc::new(stream.try_clone()?), stream)));
+        let Ok((handle, stream)) = opened else {
             // Mostly caused by a shortage of file descriptors, which is temporary.
             thread::sleep(Duration::from_millis(50));
             continue;
         };
         let before = state.connections.fetch_add(1, Ordering::Relaxed);
-        let connection = Connection(Arc::clone(state));
-        if before >= most {
+        let connection = Connection { state: Arc::clone(state), number, stream: handle };
+        if before >= most && !state.close_an_idle_one() {
             refuse_for_want_of_room(stream);
             continue;
         }
+        connection.set_idle();
         let serve = Arc::clone(serve);
         // If no thread can be created the connection is closed, and the client may retry.
         let _ = thread::Builder::new()

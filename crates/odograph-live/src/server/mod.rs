@@ -121,8 +121,9 @@ fn serve(shared: &LiveServerState, connection: &Connection, stream: TcpStream) -
             Ok(None) => return Ok(()),
             Err(refusal) => return http::refuse(reader.into_stream(), refusal),
         };
+        connection.set_busy();
         match routes::answer(shared, &request, reader.stream())? {
-            routes::Next::Request if request.keep_alive => {}
+            routes::Next::Request if request.keep_alive => connection.set_idle(),
             routes::Next::Request => return Ok(()),
             routes::Next::Socket => return socket::run(&shared.hub, reader.into_stream()),
         }

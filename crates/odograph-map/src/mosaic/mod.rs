@@ -2,6 +2,7 @@
 //! reduced from the next finer one, tile by tile.
 
 mod pyramid;
+pub(crate) mod staleness;
 mod tile;
 
 use crate::complaint::WithContext;
@@ -208,6 +209,14 @@ impl MapFile {
             pyramid::insert(&self.connection, level, column, row, &png).while_writing(&self.complaint)?;
         }
         Ok(())
+    }
+
+    /// How far keyframes have moved at most since the mosaic was rendered, metres; `None` while it
+    /// is less than half of a pixel, which does not change the mosaic, or if there is none.
+    pub fn mosaic_shift_m(&self) -> Result<Option<f64>> {
+        let Some(layer) = self.mosaic()? else { return Ok(None) };
+        let shift_m = staleness::shift_m(&self.connection).while_reading(&self.complaint)?;
+        Ok((shift_m > 0.5 * layer.resolution_m).then_some(shift_m))
     }
 
     /// Geometry of the mosaic; `None` if there is none.

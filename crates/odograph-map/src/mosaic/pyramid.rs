@@ -1,6 +1,6 @@
 //! Tables of the tile pyramid (OGC 12-128, clause 2.2).
 
-use super::MosaicLayer;
+use super::{MosaicLayer, staleness};
 use crate::geopackage::{self, Extent, UNDEFINED_CARTESIAN};
 use odograph::mosaic::{MOSAIC_TILE_PX, MosaicTile};
 use rusqlite::{Connection, Result, params};
@@ -99,7 +99,7 @@ fn clear(connection: &Connection) -> Result<()> {
     ] {
         connection.execute(sql, [])?;
     }
-    Ok(())
+    staleness::reset(connection)
 }
 
 /// Removes the finest level of a pyramid; everything where it is the only one.

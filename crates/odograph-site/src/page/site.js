@@ -128,10 +128,11 @@ function list() {
     let condition = merged ? session.condition : robot.state;
     if (merged && !session.connected) condition += ", not recognised yet";
     const told = cell(condition, merged ? session.condition : "quarantined");
-    if (!merged && robot.reason) {
+    const why = merged ? session.doubt : robot.reason;
+    if (why) {
       const reason = document.createElement("div");
       reason.className = "reason";
-      reason.textContent = robot.reason;
+      reason.textContent = why;
       told.append(reason);
     }
     const name = cell(session.robot);
@@ -166,7 +167,7 @@ async function look() {
     if (!answer.ok) throw new Error(answer.statusText);
     state = await answer.json();
     list();
-    problem(state.failure && "The site does not merge any more: " + state.failure);
+    problem(state.failure && "The site does not merge at the moment: " + state.failure);
     if (state.mosaic !== mosaicShown) await loadMosaic(state.mosaic);
   } catch (error) {
     problem("The site does not answer: " + error.message);

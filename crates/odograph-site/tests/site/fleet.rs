@@ -13,8 +13,8 @@ use std::time::Duration;
 
 const PATIENCE: Duration = Duration::from_secs(600);
 
-struct Served {
-    site: Arc<Site>,
+pub struct Served {
+    pub site: Arc<Site>,
     server: SiteServer,
 }
 
@@ -26,18 +26,18 @@ impl Drop for Served {
 }
 
 impl Served {
-    fn new(folder: &Path, address: SocketAddr) -> Self {
+    pub fn new(folder: &Path, address: SocketAddr) -> Self {
         let site = Arc::new(Site::open(folder).unwrap());
         let server = SiteServer::start(address, Arc::clone(&site), None).unwrap();
         Self { site, server }
     }
 
-    fn client(&self) -> SiteClient {
+    pub fn client(&self) -> SiteClient {
         SiteClient::new(self.server.url().parse().unwrap())
     }
 
     /// Sends everything that a robot's map has.
-    fn send(&self, robot: &Robot, map: &Path) -> LinkReport {
+    pub fn send(&self, robot: &Robot, map: &Path) -> LinkReport {
         let link = SiteLink::start(map, robot.name, self.client(), Box::new(|_| {})).unwrap();
         let report = link.finish(PATIENCE, &|| true);
         self.site.wait_until_settled();
@@ -46,14 +46,14 @@ impl Served {
     }
 
     /// What the page says about a robot's session.
-    fn session(&self, robot: &Robot) -> Value {
+    pub fn session(&self, robot: &Robot) -> Value {
         let page = self.client().state().unwrap();
         let sessions = page["sessions"].as_array().unwrap();
         sessions.iter().find(|session| session["robot"] == robot.name).cloned().unwrap_or_default()
     }
 }
 
-fn any_port() -> SocketAddr {
+pub fn any_port() -> SocketAddr {
     "127.0.0.1:0".parse().unwrap()
 }
 
@@ -68,6 +68,21 @@ fn in_map(folder: &Path, robot: &Robot) -> usize {
 
 fn keyframes(map: &Path) -> usize {
     MapFile::open_read_only(map).unwrap().map().unwrap().keyframes.len()
+}
+
+#[test]
+fn a_link_to_a_silent_site_ends_without_its_answer() {
+    let folder = tempfile::tempdir().unwrap();
+    let robot = Robot { lane: ((0.0, 0.0), 0.0, 12), ..Robot::first() };
+    let map = robot.drive(folder.path());
+    let silent = TcpListener::bind(any_port()).unwrap();
+    let url = format!("http://{}/", silent.local_addr().unwrap());
+    let link = SiteLink::start(&map, robot.name, SiteClient::new(url.parse().unwrap()), Box::new(|_| {}));
+    // The request is under way, and is not waited for: its time limit would be a problem to report.
+    let accepted = silent.accept().unwrap();
+    let report = link.unwrap().finish(Duration::ZERO, &|| true);
+    assert_eq!((report.complete, report.acknowledged, report.problem), (false, 0, None));
+    drop(accepted);
 }
 
 #[test]

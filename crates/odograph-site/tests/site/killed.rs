@@ -89,4 +89,11 @@ fn what_was_acknowledged_survives_kills() {
         .map(|keyframe| merged.number_of(keyframe.id).unwrap().unwrap())
         .collect();
     assert_eq!(numbers, (0..numbers.len() as u64).collect::<Vec<_>>());
+    // Nobody has lived to render the mosaic; the next site does, though nothing is new.
+    assert_eq!(merged.mosaic().unwrap(), None);
+    drop(merged);
+    let site = Site::open(&place).unwrap();
+    while site.mosaic(1 << 20).unwrap().is_none() {
+        std::thread::yield_now();
+    }
 }

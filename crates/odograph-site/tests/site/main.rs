@@ -6,3 +6,4 @@ mod fleet;
 mod killed;
 mod refusals;
 mod robots;
+mod wrong;

@@ -25,6 +25,12 @@ static GROUND: LazyLock<Ground> = LazyLock::new(|| {
 pub struct Robot {
     pub name: &'static str,
     pub camera: Camera,
+    /// The calibration that it was told.
+    pub told: Camera,
+    /// Whether its images are mirrored.
+    pub is_mirrored: bool,
+    /// Time between two frames as it states it, seconds.
+    pub step_s: f64,
     pub height_m: f64,
     /// The height that it was told.
     pub told_m: f64,
@@ -34,17 +40,20 @@ pub struct Robot {
     pub sees_bumper: bool,
 }
 
-fn camera(size: (usize, usize), focal_px: f64) -> Camera {
+pub fn camera(size: (usize, usize), focal_px: f64, distortion: Distortion) -> Camera {
     let principal = (0.5 * (size.0 as f64 - 1.0), 0.5 * (size.1 as f64 - 1.0));
-    Camera::new(size, (focal_px, focal_px), principal, Distortion::None).unwrap()
+    Camera::new(size, (focal_px, focal_px), principal, distortion).unwrap()
 }
 
 impl Robot {
     pub fn first() -> Self {
-        let camera = camera((320, 240), 250.0);
+        let camera = camera((320, 240), 250.0, Distortion::None);
         Self {
             name: "one",
+            told: camera.clone(),
             camera,
+            is_mirrored: false,
+            step_s: 1.0 / 15.0,
             height_m: HEIGHT_M,
             told_m: HEIGHT_M,
             lane: ((0.0, 0.0), 0.0, 100),
@@ -54,14 +63,15 @@ impl Robot {
 
     /// With another camera, higher up, on a lane back beside the first one's.
     pub fn second() -> Self {
-        let camera = camera((400, 300), 330.0);
+        let camera = camera((400, 300), 330.0, Distortion::None);
         Self {
             name: "two",
+            told: camera.clone(),
             camera,
             height_m: 0.9,
             told_m: 0.9,
             lane: ((3.2, -0.15), 3.0, 70),
-            sees_bumper: false,
+            ..Self::first()
         }
     }
 
@@ -96,11 +106,11 @@ impl Robot {
     pub fn drive_part(&self, folder: &Path, origin: &SessionOrigin, frames: usize) -> PathBuf {
         let path = folder.join(format!("{}.gpkg", self.name));
         let rig = Rig::level(self.told_m);
-        let mut file = MapFile::create(&path, &self.camera, &rig).unwrap();
+        let mut file = MapFile::create(&path, &self.told, &rig).unwrap();
         file.begin_session_by(origin, "drive.mp4", None).unwrap();
         let config = OdometryConfig::default();
-        let mut mapper = Mapper::new(&self.camera, rig, &config, LoopClosureConfig::default());
-        let mut odometry = Odometry::new(self.camera.clone(), rig, config).unwrap();
+        let mut mapper = Mapper::new(&self.told, rig, &config, LoopClosureConfig::default());
+        let mut odometry = Odometry::new(self.told.clone(), rig, config).unwrap();
         odometry.record_keyframes();
         let renderer = Renderer::new(&self.camera);
         let mut store = Store(file);
@@ -109,7 +119,11 @@ impl Robot {
             if self.sees_bumper {
                 cover_with_bumper(&mut image);
             }
-            odometry.process(image, frame as f64 / 15.0).unwrap();
+            if self.is_mirrored {
+                let width = image.width();
+                image.samples_mut().chunks_exact_mut(width).for_each(|row| row.reverse());
+            }
+            odometry.process(image, frame as f64 * self.step_s).unwrap();
             for event in odometry.take_keyframe_events() {
                 mapper.take(event, None, &mut store).unwrap();
             }

@@ -146,11 +146,12 @@ pub fn live(arguments: LiveArguments) -> Result<Outcome> {
     let outcome = result.inspect_err(|_| serving.linger(arguments.quiet))?;
     observer.log_times(&outcome.statistics);
     drop(outputs);
-    if let Some(link) = link {
-        link.finish(arguments.quiet);
-    }
     if arguments.print.is_none() {
         print_summary(&outcome, arguments.quiet, arguments.json)?;
+    }
+    // The results are on disk: what the site does changes nothing of them.
+    if let Some(link) = link {
+        link.finish(arguments.quiet);
     }
     serving.linger(arguments.quiet);
     Ok(outcome.end.into())

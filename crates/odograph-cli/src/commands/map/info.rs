@@ -113,6 +113,9 @@ struct MosaicInfo {
     width_px: u64,
     height_px: u64,
     levels: u32,
+    /// How far keyframes have moved since it was rendered, if that is visible.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    shift_m: Option<f64>,
 }
 
 /// Runs the command.
@@ -169,9 +172,11 @@ fn gathered(file: &MapFile) -> Result<MapInfo> {
             })
         })
         .collect::<Result<Vec<_>>>()?;
+    let shift_m = file.mosaic_shift_m()?;
     let mosaic = file.mosaic()?.map(|layer| {
         let (width_px, height_px, _) = layer.picture_at(layer.finest);
-        MosaicInfo { metres_per_pixel: layer.resolution_m, width_px, height_px, levels: layer.finest + 1 }
+        let (metres_per_pixel, levels) = (layer.resolution_m, layer.finest + 1);
+        MosaicInfo { metres_per_pixel, width_px, height_px, levels, shift_m }
     });
     let edges = |kind| map.edges.iter().filter(|edge| edge.kind == kind).count();
     Ok(MapInfo {
@@ -220,6 +225,15 @@ fn extent_m(map: &GroundMap) -> Option<[f64; 4]> {
         .iter()
         .map(|keyframe| [keyframe.pose.x_m, keyframe.pose.y_m, keyframe.pose.x_m, keyframe.pose.y_m])
         .reduce(|a, b| [a[0].min(b[0]), a[1].min(b[1]), a[2].max(b[2]), a[3].max(b[3])])
+}
+
+/// What to know of a mosaic that is older than the poses of the keyframes.
+pub fn stale(shift_m: f64, map: &Path) -> String {
+    format!(
+        "older than the poses, which have moved by up to {:.1} mm since; odograph map mosaic {} renders it again",
+        1e3 * shift_m,
+        console::name(map)
+    )
 }
 
 /// Number of parts that the edges leave.
@@ -277,6 +291,9 @@ fn described(info: &MapInfo, checked: bool) -> String {
                 1000.0 * mosaic.metres_per_pixel,
                 mosaic.levels
             );
+            if let Some(shift_m) = mosaic.shift_m {
+                let _ = writeln!(text, "           {}", stale(shift_m, Path::new(&info.file)));
+            }
         }
         None => text.push_str("mosaic     none; odograph map mosaic renders it\n"),
     }

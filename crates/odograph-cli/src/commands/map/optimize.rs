@@ -67,10 +67,9 @@ fn in_place(path: &Path, arguments: &OptimizeArguments) -> Result<Outcome> {
     let moved_m = most_moved_m(&map, &straight);
     let poses: Vec<_> = straight.keyframes.iter().map(|k| (k.id, k.pose, k.covariance)).collect();
     file.set_poses(&poses)?;
-    // A shift by less than half a pixel does not change the mosaic.
-    let resolution_m = file.mosaic()?.map(|layer| layer.resolution_m);
-    if let Some(resolution_m) = resolution_m.filter(|resolution_m| moved_m > 0.5 * resolution_m) {
-        mosaic::rendered(&mut file, Some(resolution_m), arguments.quiet)?;
+    if file.mosaic_shift_m()?.is_some() {
+        let resolution_m = file.mosaic()?.map(|layer| layer.resolution_m);
+        mosaic::rendered(&mut file, resolution_m, arguments.quiet)?;
     }
     file.close()?;
     if !arguments.quiet {

@@ -1,6 +1,6 @@
 //! `odograph map repair`: saves what can be read of a damaged map.
 
-use super::info::pieces;
+use super::info::{pieces, stale};
 use super::mosaic;
 use crate::{Outcome, console, files, interrupt};
 use odograph::error::{Error, Result};
@@ -51,8 +51,11 @@ pub fn repair(arguments: &RepairArguments) -> Result<Outcome> {
         )));
     }
     let is_sound = (arguments.drop_unfinished || arguments.output.is_none()) && is_sound(damaged);
-    let unfinished =
-        if is_sound { MapFile::open_read_only(damaged)?.unfinished_sessions()? } else { Vec::new() };
+    let (mut unfinished, mut shift_m) = (Vec::new(), None);
+    if is_sound {
+        let file = MapFile::open_read_only(damaged)?;
+        (unfinished, shift_m) = (file.unfinished_sessions()?, file.mosaic_shift_m()?);
+    }
     if arguments.drop_unfinished && !is_sound {
         return Err(Error::input(format!(
             "{} is damaged; repair it first without --drop-unfinished",
@@ -62,6 +65,9 @@ pub fn repair(arguments: &RepairArguments) -> Result<Outcome> {
     if is_sound && (!arguments.drop_unfinished || unfinished.is_empty()) {
         if !arguments.quiet {
             console::print(&nothing_written(damaged, &unfinished, arguments.drop_unfinished))?;
+            if let Some(shift_m) = shift_m {
+                console::print(&format!("its mosaic is {}\n", stale(shift_m, damaged)))?;
+            }
         }
         return Ok(Outcome::Done);
     }

@@ -286,6 +286,37 @@ fn the_mosaic_is_redrawn_at_the_requested_resolution() {
 }
 
 #[test]
+fn a_mosaic_older_than_the_poses_is_named_and_rendered_again() {
+    let folder = made();
+    let path = folder.path().join("map.gpkg");
+    // As an optimisation leaves it that is killed before it renders: twice, so that moves add up.
+    for _ in 0..2 {
+        let mut map = MapFile::open(&path).unwrap();
+        let mut poses: Vec<_> =
+            map.map().unwrap().keyframes.iter().map(|k| (k.id, k.pose, k.covariance)).collect();
+        poses.iter_mut().for_each(|(_, pose, _)| pose.y_m += 0.02);
+        map.set_poses(&poses).unwrap();
+        map.close().unwrap();
+    }
+    let older = "older than the poses, which have moved by up to 40.0 mm since; odograph map mosaic map.gpkg renders it";
+    for arguments in [&["info", "map.gpkg", "--check"][..], &["repair", "map.gpkg"]] {
+        let (code, message, _) = text(&odograph(arguments, folder.path()));
+        assert!(code == 0 && message.contains(older), "{arguments:?}: {message}");
+    }
+    let (code, _, complaint) = text(&odograph(&["export", "map.gpkg", "-o", "floor.png"], folder.path()));
+    assert!(code == 0 && complaint.contains(older), "{complaint}");
+    let (code, message, _) = text(&odograph(&["info", "map.gpkg", "--json"], folder.path()));
+    assert!(code == 0 && message.contains("\"shift_m\": 0.04"), "{message}");
+    // Nothing moves, and the mosaic is rendered all the same.
+    let top_m = |map: &MapFile| map.mosaic().unwrap().unwrap().picture_at(9).2.y_m;
+    let before_m = top_m(&MapFile::open_read_only(&path).unwrap());
+    assert_eq!(text(&odograph(&["optimize", "map.gpkg", "-q"], folder.path())).0, 0);
+    let map = MapFile::open_read_only(&path).unwrap();
+    assert_eq!(map.mosaic_shift_m().unwrap(), None);
+    assert!((top_m(&map) - before_m - 0.04).abs() < 0.01, "{before_m} {}", top_m(&map));
+}
+
+#[test]
 fn thinning_makes_a_map_smaller() {
     let folder = made();
     let path = folder.path().join("map.gpkg");

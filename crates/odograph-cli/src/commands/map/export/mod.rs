@@ -9,6 +9,7 @@ mod picture;
 mod ply;
 mod trajectory;
 
+use super::info::stale;
 use crate::{Outcome, console, files, interrupt, lengths};
 use anchor::{AnchorArgument, anchor_of};
 use geographic::GeographicForm;
@@ -154,6 +155,10 @@ pub fn export(arguments: &ExportArguments) -> Result<Outcome> {
     }
     let mut file = MapFile::open_read_only(&arguments.map)?;
     let _made = files::MadeFolders::of_file(output)?;
+    let shows_mosaic = matches!(form, Form::Picture(_) | Form::Ply | Form::Grid);
+    if let Some(shift_m) = file.mosaic_shift_m()?.filter(|_| shows_mosaic && !arguments.quiet) {
+        console::warn(&format!("the mosaic is {}", stale(shift_m, &arguments.map)));
+    }
     let summary = match form {
         Form::Picture(form) => write_picture(&file, output, form, anchor.as_ref())?,
         Form::Ply => ply::write(&file, output, arguments.max_points)?,
