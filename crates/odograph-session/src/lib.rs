@@ -117,7 +117,9 @@ pub use output::MapUse;
 pub use place::PoseInMap;
 pub use plan::{FrameChoice, MarkerPlan, RunPlan, SourcePlan, check_recording, open_recording};
 pub use reference::ComparedReference;
-pub use report::{FramePainter, OverlayFrame, ReportInput, ReportMark, ReportMosaic, RunReporter};
+pub use report::{
+    FramePainter, OverlayFrame, ReportInput, ReportLocalization, ReportMark, ReportMosaic, RunReporter,
+};
 pub use resemblance::{AlikePlace, Resemblance, ResemblanceVerdict};
 pub use rig::{doubtful_unit, other_size, parse_camera, read_rig, rig_of_mount};
 pub use run::Run;
