@@ -69,8 +69,10 @@ pub fn place_over_map(input: &ReportInput<'_>, localization: &ReportLocalization
         "<h2>Where it is in the map</h2>\n<figure class=\"ground\"><figcaption><span>{caption} The end of a line is where \
          the top of the image points.</span></figcaption>"
     );
-    let mut layers = if localization.place.is_some() { layers(placement, input) } else { Vec::new() };
-    layers.insert(0, Layer { class: "found", name: "what it shows", shown: true, elements: found });
+    // A picture has no path, and the frame of a recording that was not found is not the map's.
+    let has_path = localization.place.is_some() && input.frames.len() > 1;
+    let mut layers = if has_path { layers(placement, input) } else { Vec::new() };
+    layers.insert(0, Layer { class: "found", name: "picture", shown: true, elements: found });
     let places = places(placement, localization);
     layers.push(Layer { class: "places", name: "place", shown: true, elements: places });
     ground_view(&caption, ground, layers, page);
@@ -106,7 +108,12 @@ fn ground_view(caption: &str, picture: &MosaicPicture, layers: Vec<Layer>, page:
     let placement = picture.placement;
     let _ = writeln!(page, "{caption}");
     // Above the picture: below it, it would be off a small screen.
-    page.push_str("<p class=\"readout\" data-hint=\"Point at the path or at a plot to see a frame.\"></p>\n<div class=\"layers\" role=\"group\" aria-label=\"Layers\">\n");
+    let has_path = layers.iter().any(|layer| layer.class == "way");
+    let hint = if has_path { "Point at the path or at a plot to see a frame." } else { "" };
+    let _ = write!(
+        page,
+        "<p class=\"readout\" data-hint=\"{hint}\"></p>\n<div class=\"layers\" role=\"group\" aria-label=\"Layers\">\n"
+    );
     for (class, name, shown) in
         [("photograph", "ground", true)].into_iter().chain(layers.iter().map(|l| (l.class, l.name, l.shown)))
     {

@@ -88,3 +88,62 @@ fn false_alarm(one: &Lookalike, found: &[Lookalike], view_m: f64) -> Option<f64>
     }
     places.iter().map(|(_, least, keyframes)| least * keyframes).reduce(|sum, place| sum + place)
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::camera::{Camera, Distortion};
+    use crate::keyframe::relative_pose::relative_motion;
+    use crate::loop_closure::matching::{CameraIndex, CameraPose};
+    use crate::motion::Random;
+    use crate::odometry::OdometryConfig;
+    use crate::simulation::{Ground, Renderer, Texture};
+
+    #[test]
+    fn a_tile_is_told_from_the_tiles_around_it() {
+        let camera = Camera::new((320, 240), (250.0, 250.0), (160.5, 119.0), Distortion::None).unwrap();
+        let renderer = Renderer::new(&camera);
+        let matcher = Matcher::new(&camera, &OdometryConfig::default());
+        let ground = Ground::new(Texture::Tiles, renderer.footprint_m(0.9), false, 9).unwrap();
+        let mut random = Random::new(4);
+        let mut picture = |pose: &GroundPose| {
+            let mut image = renderer.gray_view(&ground, pose);
+            for sample in image.samples_mut() {
+                // The sum of four uniform numbers deviates by 0.577 of their width: 2 gray levels.
+                let noise: f64 = (0..4).map(|_| random.below(1 << 16) as f64 / 65536.0 - 0.5).sum();
+                *sample = (f64::from(*sample) + 3.5 * noise).round().clamp(0.0, 255.0) as u8;
+            }
+            image
+        };
+        let at = |pose: GroundPose| CameraPose { camera: CameraIndex::default(), pose, ground: None };
+        let (here, there) =
+            (GroundPose::level(0.9), GroundPose { x_m: 0.05, heading_rad: 0.8, ..GroundPose::level(0.9) });
+        let query = matcher.query(picture(&here), &at(here), None);
+        let reference = matcher.reference(picture(&there), &at(there), None);
+        let hypothesis = |x_m: f64, y_m: f64| PlaceHypothesis {
+            keyframe: KeyframeId(3),
+            motion: relative_motion(&there, &GroundPose { x_m, y_m, ..here }),
+            ln_scale_deviation: f64::INFINITY,
+            matches: 20,
+            shared: 100,
+            worth: 4.0,
+            rival_worth: 3.0,
+            score: 0.4,
+        };
+        let shifts = [(0.0, 0.0), (0.2, 0.0), (-0.2, 0.0), (0.0, 0.2), (0.0, -0.2)];
+        let found: Vec<Lookalike> = shifts
+            .iter()
+            .filter_map(|&(x_m, y_m)| {
+                Lookalike::new(&matcher, (&query, &reference), &hypothesis(x_m, y_m), &there)
+            })
+            .collect();
+        let view_m = matcher.view_m(&at(here));
+        let (keyframe, sighting) = only_place(&found, view_m).expect("the place is among them");
+        assert_eq!(keyframe, KeyframeId(3));
+        let off_m = (sighting.motion - relative_motion(&here, &there)).xy().norm();
+        assert!(off_m < 5e-4, "{off_m}");
+        // Of lookalikes alone none is the place, and one without others is not judged.
+        assert!(only_place(&found[1..], view_m).is_none());
+        assert!(only_place(&found[..1], view_m).is_none());
+    }
+}
