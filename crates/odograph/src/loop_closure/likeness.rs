@@ -28,7 +28,8 @@ pub struct RegisteredImage<'a> {
 }
 
 /// How two registered images of the ground differ: root mean squares of the logarithm of the ratio
-/// of their brightness, without gain, black level and the darkening towards the corners of the image.
+/// of their brightness, without gain, black level and the darkening towards the corners of the
+/// image.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Likeness {
     /// Over squares of [`FINE`] spots.
@@ -101,8 +102,9 @@ impl Likeness {
     }
 
     /// Whether the large squares differ by no more than white noise does whose small squares differ
-    /// as these do: an F test that refuses one in a hundred pictures of one place. Of lookalikes 1.6
-    /// m apart on the demo's bricks, where only the light differs, it refuses nine in ten.
+    /// as these do: an F test that would refuse one in a hundred pictures of one place. Noise of
+    /// lossy video is not white: it refuses half of the demo's frames. Of their lookalikes 1.6 m
+    /// away, where only the light differs, it refuses six in seven.
     pub fn is_white(&self) -> bool {
         const REFUSED: f64 = 0.01;
         // The mean of 16 squares has a sixteenth of their variance.
@@ -114,8 +116,8 @@ impl Likeness {
     }
 
     /// The probability of differences so much smaller than those of a rival, if neither image shows
-    /// the place. Then both differ by equally distributed grain, and the ratio of their mean squares
-    /// has an F distribution in every band; the bands are combined by R. Fisher's method
+    /// the place. Then both differ by equally distributed grain, and the ratio of their mean
+    /// squares has an F distribution in every band; the bands are combined by R. Fisher's method
     /// ("Statistical methods for research workers", 1925, §21.1).
     pub fn false_alarm(&self, rival: &Self) -> f64 {
         let pairs = self.bands.iter().zip(&rival.bands);

@@ -116,7 +116,8 @@ impl Mapper {
         Ok(())
     }
 
-    /// The place of a picture among those of the map that look alike, if the images tell them apart.
+    /// The place of a picture among those of the map that look alike, if the images tell them
+    /// apart.
     fn among_lookalikes(
         &self,
         new: KeyframeId,
