@@ -5,10 +5,11 @@ use super::figures::sigmas;
 use super::plot::TimeAxis;
 use crate::photograph::photograph;
 use odograph::drawing::scale::length_text;
-use odograph::drawing::svg::escape;
-use odograph::geometry::GroundPoint;
+use odograph::drawing::svg::{data_uri, escape};
+use odograph::geometry::{GroundPoint, Placement};
+use odograph::mosaic::MosaicPicture;
 use odograph::trajectory::FrameSummary;
-use odograph_session::{ReportInput, ReportMosaic};
+use odograph_session::{ReportInput, ReportLocalization, files};
 use std::fmt::Write;
 
 /// Pans and zooms the picture, and links it with the plots.
@@ -29,19 +30,90 @@ struct Layer {
 /// Writes the section; nothing if there is no mosaic.
 pub fn path_over_ground(input: &ReportInput<'_>, page: &mut String) {
     let Some(mosaic) = &input.mosaic else { return };
-    let layers: Vec<Layer> =
-        layers(mosaic, input).into_iter().filter(|layer| !layer.elements.is_empty()).collect();
-    let placement = mosaic.picture.placement;
-    let _ = writeln!(
-        page,
+    let caption = format!(
         "<h2>The path over the ground</h2>\n<figure class=\"ground\"><figcaption><span>The frames, orthorectified at their \
          poses, and the path: <span class=\"key green\">start</span><span class=\"key red\">end</span>A pixel of {} is {} \
          wide; its world file has its position.</span></figcaption>",
         escape(mosaic.file_name),
         length_text(mosaic.placement.metres_per_pixel),
     );
+    ground_view(&caption, mosaic.picture, layers(&mosaic.picture.placement, input), page);
+}
+
+/// Writes the recording over the mosaic of the map in which it was found, or the places that
+/// resemble it; nothing if the map has no mosaic.
+pub fn place_over_map(input: &ReportInput<'_>, localization: &ReportLocalization<'_>, page: &mut String) {
+    let Some(ground) = localization.ground else { return };
+    let placement = &ground.placement;
+    let (caption, found) = match (localization.place, &input.mosaic) {
+        (Some(_), Some(mosaic)) => {
+            let picture = mosaic.picture;
+            let place = picture.placement;
+            // Pixel centres are at integers: a picture begins half a pixel before the first.
+            let (x, y) = placement.pixel_from_ground(place.ground_from_pixel(-0.5, -0.5));
+            let scale = place.metres_per_pixel / placement.metres_per_pixel;
+            let (width, height) = (scale * picture.width as f64, scale * picture.height as f64);
+            let png = files::png_from_rgba(picture.width, picture.height, &picture.rgba).unwrap_or_default();
+            let image = format!(
+                "<image x=\"{x:.2}\" y=\"{y:.2}\" width=\"{width:.2}\" height=\"{height:.2}\" href=\"{}\"/>",
+                data_uri("image/png", &png)
+            );
+            ("What it shows, laid on the mosaic of the map at its place.", image)
+        }
+        _ => (
+            "The mosaic of the map, and the places that resemble it, with their probabilities.",
+            String::new(),
+        ),
+    };
+    let caption = format!(
+        "<h2>Where it is in the map</h2>\n<figure class=\"ground\"><figcaption><span>{caption} The end of a line is where \
+         the top of the image points.</span></figcaption>"
+    );
+    // A picture has no path, and the frame of a recording that was not found is not the map's.
+    let has_path = localization.place.is_some() && input.frames.len() > 1;
+    let mut layers = if has_path { layers(placement, input) } else { Vec::new() };
+    layers.insert(0, Layer { class: "found", name: "picture", shown: true, elements: found });
+    let places = places(placement, localization);
+    layers.push(Layer { class: "places", name: "place", shown: true, elements: places });
+    ground_view(&caption, ground, layers, page);
+}
+
+/// The place, or the possible ones with their probabilities.
+fn places(placement: &Placement, localization: &ReportLocalization<'_>) -> String {
+    let found = localization.place.map(|place| (place.x_m, place.y_m, place.heading_deg, String::new()));
+    let alike = localization.alike.iter().map(|place| {
+        let percent = format!("{:.0} %", 100.0 * place.probability);
+        (place.x_m, place.y_m, place.heading_deg, percent)
+    });
+    let mark = |(x_m, y_m, heading_deg, text): (f64, f64, f64, String)| {
+        let (x, y) = placement.pixel_from_ground(GroundPoint::new(x_m, y_m));
+        let (sin, cos) = heading_deg.to_radians().sin_cos();
+        format!(
+            "<path class=\"dot\" \
+             d=\"M{x:.1} {y:.1}h0\"/><path class=\"dart\" d=\"M{x:.1} {y:.1}l{:.1} {:.1}\"/><text x=\"{x:.1}\" \
+             y=\"{y:.1}\">{text}</text>",
+            DART_M * cos / placement.metres_per_pixel,
+            -DART_M * sin / placement.metres_per_pixel,
+        )
+    };
+    found.into_iter().chain(alike).map(mark).collect()
+}
+
+/// Length of the line to where the top of the image points, metres.
+const DART_M: f64 = 0.2;
+
+/// A picture of the ground with layers, after its caption.
+fn ground_view(caption: &str, picture: &MosaicPicture, layers: Vec<Layer>, page: &mut String) {
+    let layers: Vec<Layer> = layers.into_iter().filter(|layer| !layer.elements.is_empty()).collect();
+    let placement = picture.placement;
+    let _ = writeln!(page, "{caption}");
     // Above the picture: below it, it would be off a small screen.
-    page.push_str("<p class=\"readout\" data-hint=\"Point at the path or at a plot to see a frame.\"></p>\n<div class=\"layers\" role=\"group\" aria-label=\"Layers\">\n");
+    let has_path = layers.iter().any(|layer| layer.class == "way");
+    let hint = if has_path { "Point at the path or at a plot to see a frame." } else { "" };
+    let _ = write!(
+        page,
+        "<p class=\"readout\" data-hint=\"{hint}\"></p>\n<div class=\"layers\" role=\"group\" aria-label=\"Layers\">\n"
+    );
     for (class, name, shown) in
         [("photograph", "ground", true)].into_iter().chain(layers.iter().map(|l| (l.class, l.name, l.shown)))
     {
@@ -59,9 +131,9 @@ pub fn path_over_ground(input: &ReportInput<'_>, page: &mut String) {
         placement.x_m,
         placement.y_m,
         placement.metres_per_pixel,
-        photograph(mosaic.picture, "Mosaic of the ground with the path"),
+        photograph(picture, "Mosaic of the ground"),
     );
-    let (width, height) = (mosaic.picture.width, mosaic.picture.height);
+    let (width, height) = (picture.width, picture.height);
     // Pixel centres are at integers: the picture begins half a pixel before the first.
     let _ = write!(
         page,
@@ -114,8 +186,8 @@ fn json_number(value: f64, decimals: usize) -> String {
 }
 
 /// The layers, lowest first.
-fn layers(mosaic: &ReportMosaic<'_>, input: &ReportInput<'_>) -> Vec<Layer> {
-    let pixel = |point: GroundPoint| mosaic.picture.placement.pixel_from_ground(point);
+fn layers(placement: &Placement, input: &ReportInput<'_>) -> Vec<Layer> {
+    let pixel = |point: GroundPoint| placement.pixel_from_ground(point);
     let dots = |points: &mut dyn Iterator<Item = GroundPoint>| -> String {
         // A line of zero length with round ends is a dot of the same size at any zoom.
         let mut dots: Vec<String> = points.map(pixel).map(|(x, y)| format!("M{x:.1} {y:.1}h0")).collect();
@@ -142,7 +214,7 @@ fn layers(mosaic: &ReportMosaic<'_>, input: &ReportInput<'_>) -> Vec<Layer> {
             shown: true,
             elements: drawn("line", lines(&losses(input.frames))),
         },
-        Layer { class: "way", name: "path", shown: true, elements: path(mosaic, input.frames) },
+        Layer { class: "way", name: "path", shown: true, elements: path(placement, input.frames) },
         Layer {
             class: "keyframes",
             name: "keyframes",
@@ -150,7 +222,7 @@ fn layers(mosaic: &ReportMosaic<'_>, input: &ReportInput<'_>) -> Vec<Layer> {
             elements: drawn("dot", dots(&mut input.keyframes.iter().copied())),
         },
         Layer { class: "loops", name: "loops", shown: true, elements: loops },
-        Layer { class: "marks", name: "marks", shown: true, elements: marks(mosaic, input) },
+        Layer { class: "marks", name: "marks", shown: true, elements: marks(placement, input) },
     ]
 }
 
@@ -173,7 +245,7 @@ fn losses(frames: &[FrameSummary]) -> Vec<[GroundPoint; 2]> {
 
 /// A line for each stretch without a loss, without points that no pixel separates, and the ends of
 /// the path.
-fn path(mosaic: &ReportMosaic<'_>, frames: &[FrameSummary]) -> String {
+fn path(placement: &Placement, frames: &[FrameSummary]) -> String {
     let mut lines: Vec<(u32, Vec<(f64, f64)>)> = vec![];
     // A loss may end in the segment in which it began, where earlier ground was recognised.
     let mut lost = false;
@@ -182,7 +254,7 @@ fn path(mosaic: &ReportMosaic<'_>, frames: &[FrameSummary]) -> String {
             lost = true;
             continue;
         };
-        let at = mosaic.picture.placement.pixel_from_ground(GroundPoint::new(place.x_m, place.y_m));
+        let at = placement.pixel_from_ground(GroundPoint::new(place.x_m, place.y_m));
         match lines.last_mut() {
             Some((segment, line)) if *segment == frame.segment && !lost => {
                 let last = line[line.len() - 1];
@@ -216,7 +288,7 @@ fn path(mosaic: &ReportMosaic<'_>, frames: &[FrameSummary]) -> String {
 }
 
 /// The marks at the positions of the frames nearest in time.
-fn marks(mosaic: &ReportMosaic<'_>, input: &ReportInput<'_>) -> String {
+fn marks(placement: &Placement, input: &ReportInput<'_>) -> String {
     let Some(first) = input.frames.first() else { return String::new() };
     let mut svg = String::new();
     for mark in input.marks {
@@ -224,7 +296,7 @@ fn marks(mosaic: &ReportMosaic<'_>, input: &ReportInput<'_>) -> String {
         let posed = input.frames.iter().filter(|frame| frame.place.is_some());
         let nearest = posed.min_by(|a, b| off_s(a).total_cmp(&off_s(b)));
         let Some(place) = nearest.and_then(|frame| frame.place) else { continue };
-        let (x, y) = mosaic.picture.placement.pixel_from_ground(GroundPoint::new(place.x_m, place.y_m));
+        let (x, y) = placement.pixel_from_ground(GroundPoint::new(place.x_m, place.y_m));
         let _ = write!(
             svg,
             "<path class=\"dot\" d=\"M{x:.1} {y:.1}h0\"/><text x=\"{x:.1}\" y=\"{y:.1}\">{}</text>",

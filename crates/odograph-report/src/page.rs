@@ -3,7 +3,7 @@
 use super::charts::over_time;
 use super::evaluation_plot;
 use super::figures::{RunFigures, sigmas, weakest};
-use super::ground_view::{path_over_ground, script};
+use super::ground_view::{path_over_ground, place_over_map, script};
 use super::parts::{card, head, lengths_text, number, warnings};
 use odograph::camera::Distortion;
 use odograph::drawing::MapDrawing;
@@ -11,7 +11,7 @@ use odograph::drawing::scale::{duration_text, length_text};
 use odograph::drawing::svg::escape;
 use odograph::filter::fusion::SensorReport;
 use odograph::trajectory::{FrameSummary, PlaceSummary};
-use odograph_session::{ComparedReference, ReportInput};
+use odograph_session::{ComparedReference, ReportInput, ReportLocalization};
 use std::fmt::Write;
 
 /// Maximum number of rows in the table of losses; further ones are only counted.
@@ -25,14 +25,24 @@ pub fn html(input: &ReportInput<'_>) -> String {
         format!("<b>The run was {interruption}</b>; nothing after that is known. ")
     });
     let is_whole = input.interruption.is_none();
-    let _ = writeln!(page, "<p class=\"lead\">{interrupted}{}</p>", lead(&figures, is_whole));
+    let lead = input.localization.as_ref().map_or_else(|| lead(&figures, is_whole), found);
+    let _ = writeln!(page, "<p class=\"lead\">{interrupted}{lead}</p>");
     warnings(input.warnings, &mut page);
-    path_over_ground(input, &mut page);
-    cards(&figures, is_whole, &mut page);
-    over_time(input.frames, &figures, &mut page);
-    drawing(input, &mut page);
-    beside(input.reference, &mut page);
-    doubts(input.frames, &figures, &mut page);
+    match &input.localization {
+        Some(localization) => {
+            place_over_map(input, localization, &mut page);
+            place_cards(localization, &mut page);
+        }
+        None => path_over_ground(input, &mut page),
+    }
+    // A picture has no path.
+    if input.localization.is_none() || input.frames.len() > 1 {
+        cards(&figures, is_whole, &mut page);
+        over_time(input.frames, &figures, &mut page);
+        drawing(input, &mut page);
+        beside(input.reference, &mut page);
+        doubts(input.frames, &figures, &mut page);
+    }
     sensors(input.sensors, &mut page);
     parameters(input, &mut page);
     let _ = write!(
@@ -44,6 +54,51 @@ pub fn html(input: &ReportInput<'_>) -> String {
     script(input.frames, &mut page);
     page.push_str("</body>\n</html>\n");
     page
+}
+
+/// The result of looking for a place in a map.
+fn found(localization: &ReportLocalization<'_>) -> String {
+    let Some(place) = localization.place else {
+        return format!("<b>No place is certain</b> – {}.", escape(localization.reason));
+    };
+    format!("<b>Found</b> at {}.", position_text(place.x_m, place.y_m))
+}
+
+/// The place with its standard deviations, or a table of the possible ones.
+fn place_cards(localization: &ReportLocalization<'_>, page: &mut String) {
+    if let Some(place) = localization.place {
+        page.push_str("<div class=\"cards\">\n");
+        let deviations = lengths_text([place.sd_x_m, place.sd_y_m]);
+        for (name, value_m, deviation) in [("x", place.x_m, &deviations[0]), ("y", place.y_m, &deviations[1])]
+        {
+            let says = format!("± {deviation}, one standard deviation, in the frame of the map.");
+            card(name, &format!("{} m", number(value_m, 4)), &says, page);
+        }
+        let says = format!("± {}°, counter-clockwise from x of the map.", number(place.sd_heading_deg, 3));
+        card("Heading", &format!("{}°", number(place.heading_deg, 2)), &says, page);
+        let says = format!("{} away, of session {}.", length_text(place.keyframe_distance_m), place.session);
+        card("Nearest keyframe", &place.keyframe.to_string(), &says, page);
+        page.push_str("</div>\n");
+    } else if !localization.alike.is_empty() {
+        page.push_str(
+            "<h2>Possible places</h2>\n<div class=\"box scroll\"><table><tr><th class=\"number\">probability</th><th class=\"number\">x</th>\
+             <th class=\"number\">y</th><th class=\"number\">heading</th><th>keyframe</th></tr>\n",
+        );
+        for place in localization.alike {
+            let _ = writeln!(
+                page,
+                "<tr><td class=\"number\">{:.0} %</td><td class=\"number\">{} m</td><td class=\"number\">{} m</td>\
+                 <td class=\"number\">{}°</td><td>{} of session {}</td></tr>",
+                100.0 * place.probability,
+                number(place.x_m, 3),
+                number(place.y_m, 3),
+                number(place.heading_deg, 1),
+                place.keyframe,
+                place.session
+            );
+        }
+        page.push_str("</table></div>\n");
+    }
 }
 
 /// Summary of the run in one or two sentences; one that is not whole has frames up to some point.

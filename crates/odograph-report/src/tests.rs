@@ -5,7 +5,7 @@ use odograph::geometry::{GroundPoint, GroundPose, Pixel, Placement, Ray};
 use odograph::image::RgbImage;
 use odograph::mosaic::{Mosaic, MosaicOptions, MosaicPicture};
 use odograph::trajectory::{FrameSummary, LossReason, PlaceSummary, TrackStatus};
-use odograph_session::{ReportMark, ReportMosaic};
+use odograph_session::{AlikePlace, PoseInMap, ReportLocalization, ReportMark, ReportMosaic};
 use std::f64::consts::TAU;
 
 fn camera() -> Camera {
@@ -100,6 +100,18 @@ fn report_until(
     title: &str,
     warnings: &[String],
 ) -> String {
+    report_of(None, interruption, mosaic, frames, title, warnings)
+}
+
+/// The report of a run that may have looked for its place in a map.
+fn report_of(
+    localization: Option<ReportLocalization<'_>>,
+    interruption: Option<&str>,
+    mosaic: Option<ReportMosaic<'_>>,
+    frames: &[FrameSummary],
+    title: &str,
+    warnings: &[String],
+) -> String {
     let map = MapDrawing { title, ..MapDrawing::default() }.svg(frames);
     html(&ReportInput {
         interruption,
@@ -119,7 +131,57 @@ fn report_until(
         warnings,
         sensors: &[],
         reference: None,
+        localization,
     })
+}
+
+#[test]
+fn a_localized_picture_lies_on_the_map() {
+    let placement = Placement { metres_per_pixel: 0.02, x_m: -1.99, y_m: 1.99 };
+    let ground = MosaicPicture { width: 200, height: 200, rgba: vec![200; 4 * 200 * 200], placement };
+    let placement = Placement { metres_per_pixel: 0.01, x_m: 0.505, y_m: 0.495 };
+    let picture = MosaicPicture { width: 80, height: 60, rgba: vec![90; 4 * 80 * 60], placement };
+    let mosaic = ReportMosaic { picture: &picture, placement, file_name: "mosaic.png" };
+    let place = PoseInMap {
+        frame: 0,
+        time_s: 0.0,
+        x_m: 0.9,
+        y_m: 0.2,
+        heading_deg: 90.0,
+        sd_x_m: 0.0002,
+        sd_y_m: 0.0003,
+        sd_heading_deg: 0.01,
+        keyframe: 7,
+        keyframe_distance_m: 0.12,
+        session: 2,
+    };
+    let alike = [(0.7, 0.9), (0.3, -0.7)].map(|(probability, x_m)| AlikePlace {
+        probability,
+        x_m,
+        y_m: 0.2,
+        heading_deg: 90.0,
+        keyframe: 7,
+        session: 2,
+        evidence: 12.0,
+        matches: 40,
+        shared: 100,
+    });
+    let frames = &figure_eight(60)[..1];
+    let page = |place: Option<&PoseInMap>, alike: &[AlikePlace]| {
+        let reason = if place.is_some() { "" } else { "cannot tell" };
+        let localization = ReportLocalization { place, reason, alike, ground: Some(&ground) };
+        report_of(Some(localization), None, Some(mosaic), frames, "photo.jpg", &[])
+    };
+    let found = page(Some(&place), &[]);
+    assert_sound(&found);
+    // 0.5 m right of the middle is pixel 124.5 of the map; the picture is half as large there.
+    assert!(found.contains("<image x=\"124.50\" y=\"74.50\" width=\"40.00\" height=\"30.00\""), "{found}");
+    assert!(found.contains("± 0.20 mm") && found.contains("of session 2"));
+    assert!(!found.contains("travelled"));
+    let unsure = page(None, &alike);
+    assert_sound(&unsure);
+    assert!(unsure.contains("No place is certain") && !unsure.contains("<image"));
+    assert!(unsure.contains(">70 %</td>") && unsure.contains(">30 %</text>"));
 }
 
 /// The report of a run with a mosaic.
@@ -415,6 +477,7 @@ fn a_look() {
         warnings: &["the video ends in the middle of a frame; 900 of about 905 frames were read".into()],
         sensors: &[],
         reference: None,
+        localization: None,
     });
     write("report.html", page.as_bytes());
 }

@@ -18,7 +18,7 @@ use odograph::geometry::{GroundPoint, GroundPose, Sim2};
 use odograph::georeference::{Anchor, Georeference};
 use odograph::ground_map::{KeyframeImage, KeyframeImages, MemoryImages};
 use odograph::keyframe::{EdgeKind, KeyframeId};
-use odograph::mosaic::Mosaic;
+use odograph::mosaic::{Mosaic, MosaicPicture};
 use odograph::numerics::median;
 use odograph::odometry::{FrameReference, KeyframeEvent};
 use odograph::slam::{AntennaFix, DriftCorrection, KeyframeSpans, Mapper, SessionScale};
@@ -397,6 +397,12 @@ impl Mapping {
             ),
             None => format!("{path} has no picture of the ground; odograph map mosaic {path} renders it"),
         }))
+    }
+
+    /// The mosaic of the map file with at most this number of pixels; `None` if it has none.
+    pub fn ground_within(&self, most_pixels: usize) -> Result<Option<MosaicPicture>> {
+        let Some(file) = &self.file.file else { return Ok(None) };
+        file.mosaic_picture(most_pixels)
     }
 
     /// Writes the mosaic of the map file in UTM. Returns whether there is one.

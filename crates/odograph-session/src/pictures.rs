@@ -6,7 +6,7 @@ use crate::mapping::Mapping;
 use crate::observer::Observer;
 use crate::plan::RunPlan;
 use crate::reference::ComparedReference;
-use crate::report::{ReportInput, ReportMark, ReportMosaic, RunReporter};
+use crate::report::{ReportInput, ReportLocalization, ReportMark, ReportMosaic, RunReporter};
 use odograph::drawing::{Backdrop, DrawnLandmark, MapDrawing};
 use odograph::error::Result;
 use odograph::filter::fusion::SensorReport;
@@ -123,6 +123,7 @@ pub struct PageTexts<'a> {
     pub interruption: Option<&'a str>,
     /// Names of the files in its folder.
     pub files: &'a [&'a str],
+    pub localization: Option<ReportLocalization<'a>>,
 }
 
 /// Writes the report, if there is a reporter.
@@ -158,6 +159,7 @@ pub fn write_page(
         warnings: told.warnings,
         sensors: shown.sensors,
         reference: shown.reference,
+        localization: told.localization,
     });
     folder.write("report.html", page.as_bytes())
 }

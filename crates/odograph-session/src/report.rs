@@ -1,6 +1,8 @@
 //! Contents of a run's report, and the trait that renders it.
 
+use crate::place::PoseInMap;
 use crate::reference::ComparedReference;
+use crate::resemblance::AlikePlace;
 use odograph::camera::{Camera, Rig};
 use odograph::drawing::DrawnLandmark;
 use odograph::error::Result;
@@ -93,6 +95,21 @@ pub struct ReportInput<'a> {
     pub sensors: &'a [SensorReport],
     /// The comparison with a reference trajectory, if one was given.
     pub reference: Option<&'a ComparedReference>,
+    /// What was found in a map, if the run looked for its place there.
+    pub localization: Option<ReportLocalization<'a>>,
+}
+
+/// Where a picture or a recording is in a map.
+#[derive(Debug, Clone, Copy)]
+pub struct ReportLocalization<'a> {
+    /// The place; `None` if none is certain.
+    pub place: Option<&'a PoseInMap>,
+    /// Why no place is certain, a sentence; empty if one is.
+    pub reason: &'a str,
+    /// The possible places if none is certain, the most probable first.
+    pub alike: &'a [AlikePlace],
+    /// The mosaic of the map, if it has one.
+    pub ground: Option<&'a MosaicPicture>,
 }
 
 /// The mosaic as displayed in the report.

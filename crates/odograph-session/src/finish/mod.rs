@@ -19,8 +19,8 @@ use crate::pictures::PageTexts;
 use crate::pipeline::Tracked;
 use crate::place::PoseInMap;
 use crate::plan::RunPlan;
-use crate::report::RunReporter;
-use crate::resemblance::Resemblance;
+use crate::report::{ReportLocalization, RunReporter};
+use crate::resemblance::{Resemblance, ResemblanceVerdict};
 use crate::ros_bag::RosBagWriter;
 use crate::statistics::stopped_early;
 use crate::stillness::stillness_warning;
@@ -83,6 +83,9 @@ pub fn give_warnings(warnings: &[String], error: &Error, observer: &dyn Observer
 
 /// The camera file with the estimated lens, where it differs from the plan.
 const FOUND_CAMERA: &str = "camera-found.yaml";
+
+/// Maximum number of pixels of a map in the report: some megabytes.
+const MAP_PIXELS: usize = 4_000_000;
 
 /// The mask of what is static in the image.
 const MASK: &str = "mask.png";
@@ -152,14 +155,16 @@ impl Finishing<'_> {
         improved.observe(&mut self.tracked, &pose_frames, ending.observer)?;
         let frames = improved.summaries(&mut self.tracked, &pose_frames)?;
         let place = self.place_in_map(&mut improved)?;
+        let resemblance = self.resemblance(place.as_ref());
         let on_earth = self.place_on_earth(&mut improved, &frames)?;
         let Improved { mut corrected, sensors, loops, markers, .. } = improved;
         // The page of a live run shows the mosaic, too.
         if ending.output.draws() || self.tracked.live.is_some() {
-            self.draw(corrected.as_mut(), &frames, &sensors, markers.as_ref(), on_earth.as_ref())?;
+            let found = (place.as_ref(), resemblance.as_ref());
+            self.draw(corrected.as_mut(), &frames, &sensors, markers.as_ref(), on_earth.as_ref(), found)?;
         }
         let estimated = Estimated { loops, markers, gnss: on_earth.map(|on_earth| on_earth.statistics) };
-        self.end(frames, place, &sensors, estimated)
+        self.end(frames, (place, resemblance), &sensors, estimated)
     }
 
     fn warn(&mut self, warning: impl IntoIterator<Item = String>) {
@@ -301,6 +306,13 @@ impl Finishing<'_> {
         Ok(frames.iter().find(|frame| frame.frame == place.frame).map(|frame| place.of(frame)))
     }
 
+    /// What of the map that was looked into resembles a run that has no place there.
+    fn resemblance(&self, place: Option<&PoseInMap>) -> Option<Resemblance> {
+        let mapping = &self.tracked.mapping;
+        let looked_for = self.ending.output.map.path().is_some() && place.is_none();
+        looked_for.then(|| Resemblance::of(mapping.mapper(), mapping.other_scale())).flatten()
+    }
+
     /// Where on Earth the run was; writes the path there.
     fn place_on_earth(
         &mut self,
@@ -330,6 +342,7 @@ impl Finishing<'_> {
         sensors: &[SensorReport],
         markers: Option<&MarkerStatistics>,
         on_earth: Option<&OnEarth>,
+        (place, resemblance): (Option<&PoseInMap>, Option<&Resemblance>),
     ) -> Result<()> {
         let Ending { description, reporter, observer, .. } = *self.ending;
         let threads = self.ending.output.threads();
@@ -385,8 +398,26 @@ impl Finishing<'_> {
         let early = || stopped_early(frames.len() as u64, tracked.announced, tracked.live.as_ref());
         let interruption = tracked.interrupted.then(early).flatten();
         let beside = files_beside(self.folder, tracked.mapping.written());
-        let told =
-            PageTexts { warnings: &tracked.warnings, interruption: interruption.as_deref(), files: &beside };
+        let looked_into = self.ending.output.map.path().filter(|_| self.ending.output.localizes());
+        let ground = looked_into.map(|_| tracked.mapping.ground_within(MAP_PIXELS)).transpose()?.flatten();
+        let alike = resemblance.map_or(&[][..], |resemblance| &resemblance.places);
+        let verdict = resemblance.map_or(ResemblanceVerdict::TooFewFeatures, |one| one.verdict);
+        let reason = match (place, looked_into) {
+            (None, Some(map)) => verdict.sentence("the recording", map, alike.len()),
+            _ => String::new(),
+        };
+        let localization = looked_into.map(|_| ReportLocalization {
+            place,
+            reason: &reason,
+            alike,
+            ground: ground.as_ref(),
+        });
+        let told = PageTexts {
+            warnings: &tracked.warnings,
+            interruption: interruption.as_deref(),
+            files: &beside,
+            localization,
+        };
         pictures::write_page(self.plan, &shown, &drawn, &told, self.folder, reporter)?;
         if let Err(error) = drawn.ground {
             self.failure.get_or_insert(error);
@@ -409,15 +440,12 @@ impl Finishing<'_> {
     fn end(
         &mut self,
         frames: Vec<FrameSummary>,
-        place: Option<PoseInMap>,
+        (place, resemblance): (Option<PoseInMap>, Option<Resemblance>),
         sensors: &[SensorReport],
         estimated: Estimated,
     ) -> Result<RunOutcome> {
         let map = self.tracked.mapping.written().map(Path::to_owned);
         let closed = self.tracked.mapping.close();
-        let mapper = self.tracked.mapping.mapper();
-        let other_scale = self.tracked.mapping.other_scale();
-        let looked_for = self.ending.output.map.path().is_some() && place.is_none();
         let statistics = statistics_of(
             &self.tracked,
             &frames,
@@ -433,7 +461,7 @@ impl Finishing<'_> {
                 end: RunEnd::of(&statistics),
                 statistics,
                 trajectory: frames,
-                resemblance: looked_for.then(|| Resemblance::of(mapper, other_scale)).flatten(),
+                resemblance,
                 place,
                 warnings: std::mem::take(&mut self.tracked.warnings),
                 folder: self.folder.path().to_owned(),

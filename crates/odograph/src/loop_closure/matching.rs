@@ -223,7 +223,7 @@ impl Matcher {
         off_px: f64,
     ) -> Option<LoopSighting> {
         let keyframe = &query.keyframe;
-        let prediction = self.placed(&query.at, &reference.at, motion);
+        let prediction = self.predicted(query, reference, motion);
         let MatcherCamera { camera, config, .. } = self.of(reference.at.camera);
         if reference.at.camera != query.at.camera {
             // The tracker would make it with the camera of the image in which it looks.
@@ -250,13 +250,23 @@ impl Matcher {
         self.sighting(query, &estimate, (inliers, inlier_ratio), off_px, unevenness)
     }
 
-    /// How the images of the query and of a registered reference differ; `None` if too little
-    /// ground is in both.
+    /// Pose of a reference in the frame of the plane that the query sees, if it is at `motion`.
+    pub fn predicted(
+        &self,
+        query: &QueryKeyframe,
+        reference: &ReferenceKeyframe,
+        motion: &Vector4<f64>,
+    ) -> GroundPose {
+        self.placed(&query.at, &reference.at, motion)
+    }
+
+    /// How the images of the query and of a reference, registered at `pose`, differ; `None` if too
+    /// little ground is in both.
     pub fn likeness(
         &self,
         query: &QueryKeyframe,
         reference: &ReferenceKeyframe,
-        registered: &LoopSighting,
+        pose: &GroundPose,
     ) -> Option<Likeness> {
         let QueryKeyframe { at: CameraPose { camera, .. }, keyframe } = query;
         let here = RegisteredImage {
@@ -268,7 +278,7 @@ impl Matcher {
         let there = RegisteredImage {
             camera: &self.of(reference.at.camera).camera,
             pyramid: &reference.pyramid,
-            pose: registered.pose,
+            pose: *pose,
             mask: reference.mask.as_deref(),
         };
         Likeness::of(&here, &there)

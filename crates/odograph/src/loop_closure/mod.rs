@@ -3,7 +3,8 @@
 //! Candidates come from the pose graph ([`candidates`]) and from place recognition
 //! ([`recognition`]). The tracker of odometry finds the corners of one keyframe in the image of the
 //! other ([`matching`]), [`likeness`] says how registered images differ, and [`verification`]
-//! decides which matches are accepted.
+//! decides which matches are accepted; [`lookalikes`] decides for a single picture over ground that
+//! repeats itself.
 
 mod likeness;
 pub(crate) mod matching;
@@ -11,6 +12,7 @@ pub(crate) mod candidates;
 mod gate;
 pub(crate) mod recognition;
 pub(crate) mod verification;
+pub(crate) mod lookalikes;
 
 pub use verification::LoopClosure;
 

@@ -47,7 +47,7 @@ impl Recognised {
 const UNREGISTERED: f64 = 4.0;
 
 /// Height ratios of a [`PlaceHypothesis`], whose scale is already that of its metres.
-const SAME_METRES: [f64; 2] = [1.0; 2];
+pub const SAME_METRES: [f64; 2] = [1.0; 2];
 
 /// Number of places looked up: more find a place behind similar ones, and each takes a
 /// verification.

@@ -31,11 +31,11 @@ pub struct LoopClosure {
 
 /// Minimum number of matched corners: 10 % of the 400 of a keyframe. Fewer close loops over less
 /// overlap, and let patterns that repeat pass.
-const MIN_INLIERS: usize = 40;
+pub const MIN_INLIERS: usize = 40;
 
 /// Maximum error of a registration of whole images, pixels: the search range of the tracker that
 /// verifies it.
-const GUESS_OFF_PX: f64 = 8.0;
+pub const GUESS_OFF_PX: f64 = 8.0;
 
 /// Registrations with a smaller share of the best score are not verified. Lower finds more rivals
 /// on repetitive ground and takes longer.
@@ -120,7 +120,9 @@ pub fn verify_recognised(
     let looks_equal = || {
         let is_candidate = found.inliers >= MIN_INLIERS && !recognised.stands_alone();
         is_candidate
-            && matcher.likeness(query, reference, &found).is_some_and(|likeness| likeness.is_of_one_place())
+            && matcher
+                .likeness(query, reference, &found.pose)
+                .is_some_and(|likeness| likeness.is_of_one_place())
     };
     if !is_clear(&found, config) && !looks_equal() {
         return None;
@@ -132,7 +134,8 @@ pub fn verify_recognised(
     Some(closure(new, recognised.id, &found, off))
 }
 
-fn closure(new: KeyframeId, old: KeyframeId, found: &LoopSighting, off: Vector4<f64>) -> LoopClosure {
+/// `off` is the measured minus the predicted motion.
+pub fn closure(new: KeyframeId, old: KeyframeId, found: &LoopSighting, off: Vector4<f64>) -> LoopClosure {
     let (motion, covariance) = (found.motion, found.covariance);
     LoopClosure {
         edge: MapEdge { from: new, to: old, kind: EdgeKind::Loop, motion, covariance },

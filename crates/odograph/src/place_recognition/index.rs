@@ -2,7 +2,7 @@
 
 use super::features::Features;
 use super::lookup::{Buckets, FeatureNumber};
-use super::support::{FeatureMatch, MAX_DIFFERENCE, Placing, best_pair, rival, support};
+use super::support::{FeatureMatch, MAX_DIFFERENCE, Placing, Support, best_pair, rival, support, supported};
 use super::{PlacesConfig, Signature};
 use crate::image::simd::differing_bits_of_pairs;
 use crate::keyframe::KeyframeId;
@@ -17,6 +17,9 @@ const MAX_COMPARISONS: u32 = 12_000;
 /// Maximum number of keyframes verified per query: more find a place that others resemble, and each
 /// takes time.
 const MAX_CANDIDATES: usize = 16;
+
+/// The same for lookalikes, which are looked for only in a picture that has no certain place.
+const MAX_ALIKE_KEYFRAMES: usize = 64;
 
 /// Once one keyframe has this number of votes, others with less than a fifth of them are not
 /// verified: they show other ground, and verifying them takes time.
@@ -156,7 +159,7 @@ impl PlaceIndex {
     ) -> Vec<PlaceHypothesis> {
         let query = Features::new(&signature.features, self.spot_m);
         let mut found: Vec<_> = self
-            .candidates(&query, compared)
+            .candidates(&query, compared, MAX_CANDIDATES)
             .into_iter()
             .filter_map(|(slot, placing)| {
                 let slot = &self.slots[slot];
@@ -172,27 +175,59 @@ impl PlaceIndex {
                 // A weak hypothesis needs no test for ambiguity.
                 let is_relevant = support.worth >= WORTH_A_RIVAL;
                 let rival = is_relevant.then(|| rival(&query, &slot.features, &support)).flatten();
-                let (worth, rival_worth) = (support.worth.into(), rival.map_or(0.0, |r| r.worth.into()));
-                let Placing { shift, heading_rad, scale } = support.placing;
-                let [x, y] = shift.map(|spots| f64::from(spots) * self.spot_m);
-                PlaceHypothesis {
-                    keyframe,
-                    motion: Vector4::new(x, y, f64::from(heading_rad), f64::from(scale).ln()),
-                    ln_scale_deviation: support.ln_scale_deviation.into(),
-                    matches: support.matches,
-                    shared: support.shared,
-                    worth,
-                    rival_worth,
-                    score: (worth - rival_worth) / (worth + rival_worth).sqrt(),
-                }
+                self.hypothesis(keyframe, &support, rival.map_or(0.0, |rival| rival.worth.into()))
             })
             .collect();
         hypotheses.sort_by(|a, b| b.score.total_cmp(&a.score).then(a.keyframe.cmp(&b.keyframe)));
         hypotheses
     }
 
-    /// The keyframes to verify, each with the motion that most of its matches vote for.
-    fn candidates(&self, query: &Features, compared: &dyn Fn(KeyframeId) -> bool) -> Vec<(usize, Placing)> {
+    /// All motions over the keyframes that may show the ground of the query, at most `most`, those
+    /// with the most worth first: on ground that repeats itself, a place and its lookalikes, which
+    /// the images must tell apart. Takes some ten times as long as [`PlaceIndex::query`].
+    pub fn lookalikes(
+        &self,
+        signature: &Signature,
+        most: usize,
+        compared: &dyn Fn(KeyframeId) -> bool,
+    ) -> Vec<PlaceHypothesis> {
+        let query = Features::new(&signature.features, self.spot_m);
+        let mut found = Vec::new();
+        for (slot, _) in self.candidates(&query, compared, MAX_ALIKE_KEYFRAMES) {
+            let Slot { keyframe: Some(keyframe), features } = &self.slots[slot] else { continue };
+            let supported = supported(&query, features).into_iter();
+            let enough = supported.filter(|support| support.matches >= MIN_MATCHES);
+            found.extend(enough.map(|support| self.hypothesis(*keyframe, &support, 0.0)));
+        }
+        found.sort_by(|a, b| b.worth.total_cmp(&a.worth).then(a.keyframe.cmp(&b.keyframe)));
+        found.truncate(most);
+        found
+    }
+
+    fn hypothesis(&self, keyframe: KeyframeId, support: &Support, rival_worth: f64) -> PlaceHypothesis {
+        let Placing { shift, heading_rad, scale } = support.placing;
+        let [x, y] = shift.map(|spots| f64::from(spots) * self.spot_m);
+        let worth = f64::from(support.worth);
+        PlaceHypothesis {
+            keyframe,
+            motion: Vector4::new(x, y, f64::from(heading_rad), f64::from(scale).ln()),
+            ln_scale_deviation: support.ln_scale_deviation.into(),
+            matches: support.matches,
+            shared: support.shared,
+            worth,
+            rival_worth,
+            score: (worth - rival_worth) / (worth + rival_worth).sqrt(),
+        }
+    }
+
+    /// The keyframes to verify, at most `most`, each with the motion that most of its matches vote
+    /// for.
+    fn candidates(
+        &self,
+        query: &Features,
+        compared: &dyn Fn(KeyframeId) -> bool,
+        most: usize,
+    ) -> Vec<(usize, Placing)> {
         let mut matches = self.look_up(query);
         matches.retain(|(number, ..)| self.slots[number.slot()].keyframe.is_some_and(compared));
         matches.sort_unstable();
@@ -216,7 +251,7 @@ impl PlaceIndex {
             }
         }
         candidates.sort_by_key(|&(agreeing, slot, _)| (Reverse(agreeing), slot));
-        candidates.truncate(MAX_CANDIDATES);
+        candidates.truncate(most);
         // Hypotheses with far fewer votes than the best are not examined.
         let most = candidates.first().map_or(0, |&(agreeing, ..)| agreeing);
         if most >= MANY_AGREEING {

@@ -279,9 +279,42 @@ const MIN_TO_EXTRAPOLATE: usize = 8;
 /// The support of the best other transform of the two images, among those with the most single
 /// votes, scaled to an equal overlap. Repetitive patterns have one.
 pub(super) fn rival(query: &Features, keyframe: &Features, best: &Support) -> Option<Support> {
-    /// Number of other transforms tried. Of 24 200 pictures of a floor of one tile repeated, 111
-    /// were called certain when votes for the transform itself took up the eight.
-    const MAX_TRIED: usize = 8;
+    let middle = query.middle();
+    // Votes for the transform itself also fall into the neighbouring bins; they must not keep
+    // others from being tried.
+    let other = |placing: &Placing| placing.differs(&best.placing, middle);
+    // Repetitive ground matches itself shifted by a period, with less overlap: what counts is the
+    // matched share of the overlap.
+    let as_much_ground = |found: Support| {
+        let more = best.shared as f32 / found.shared.max(1) as f32;
+        let are_enough = found.matches >= MIN_TO_EXTRAPOLATE;
+        Support { worth: found.worth * if are_enough { more.max(1.0) } else { 1.0 }, ..found }
+    };
+    let tried = voted(query, keyframe).into_iter().filter(other).take(MAX_TRIED);
+    let found = tried.filter_map(|placing| support(query, keyframe, placing)).filter(|s| other(&s.placing));
+    found.map(as_much_ground).max_by(|a, b| a.worth.total_cmp(&b.worth).then(a.matches.cmp(&b.matches)))
+}
+
+/// Number of transforms of two images that are tried. Of 24 200 pictures of a floor of one tile
+/// repeated, 111 were called certain when votes for the transform itself took up the eight.
+const MAX_TRIED: usize = 8;
+
+/// The distinct transforms of the two images with the most single votes, each with its support. On
+/// ground that repeats itself these are shifted by its periods.
+pub(super) fn supported(query: &Features, keyframe: &Features) -> Vec<Support> {
+    let middle = query.middle();
+    let mut found: Vec<Support> = Vec::new();
+    for placing in voted(query, keyframe).into_iter().take(2 * MAX_TRIED) {
+        let Some(support) = support(query, keyframe, placing) else { continue };
+        if found.iter().all(|other| other.placing.differs(&support.placing, middle)) {
+            found.push(support);
+        }
+    }
+    found
+}
+
+/// The transforms with two or more votes of single matches, those with the most first.
+fn voted(query: &Features, keyframe: &Features) -> Vec<Placing> {
     let middle = query.middle();
     let mut votes = Vec::new();
     let mut differences = vec![0; keyframe.len()];
@@ -299,9 +332,6 @@ pub(super) fn rival(query: &Features, keyframe: &Features, best: &Support) -> Op
     let groups = votes.chunk_by_mut(|a, b| a.bin == b.bin).filter(|group| group.len() > 1);
     let mut groups: Vec<&mut [Vote]> = groups.collect();
     groups.sort_unstable_by_key(|group| (std::cmp::Reverse(group.len()), group[0].bin));
-    // Votes for the transform itself also fall into the neighbouring bins; they must not keep
-    // others from being tried.
-    let other = |placing: &Placing| placing.differs(&best.placing, middle);
     let placing = |group: &mut [Vote]| {
         // The sums do not depend on the order of the features.
         group.sort_unstable_by(|a, b| {
@@ -313,16 +343,7 @@ pub(super) fn rival(query: &Features, keyframe: &Features, best: &Support) -> Op
         let [x, y] = turn.apply(middle);
         Placing { shift: [mean(|v| v.middle[0]) - x, mean(|v| v.middle[1]) - y], ..turn }
     };
-    // Repetitive ground matches itself shifted by a period, with less overlap: what counts is the
-    // matched share of the overlap.
-    let as_much_ground = |found: Support| {
-        let more = best.shared as f32 / found.shared.max(1) as f32;
-        let are_enough = found.matches >= MIN_TO_EXTRAPOLATE;
-        Support { worth: found.worth * if are_enough { more.max(1.0) } else { 1.0 }, ..found }
-    };
-    let tried = groups.into_iter().map(placing).filter(other).take(MAX_TRIED);
-    let found = tried.filter_map(|placing| support(query, keyframe, placing)).filter(|s| other(&s.placing));
-    found.map(as_much_ground).max_by(|a, b| a.worth.total_cmp(&b.worth).then(a.matches.cmp(&b.matches)))
+    groups.into_iter().map(placing).collect()
 }
 
 /// The place and direction of the query's centre by a single match.

@@ -11,6 +11,7 @@ use crate::ground_map::KeyframeStore;
 use crate::keyframe::relative_pose::{compose, inverse, similarity};
 use crate::keyframe::{KeyframeId, MapEdge};
 use crate::loop_closure::candidates::{self, Strength};
+use crate::loop_closure::lookalikes::{Lookalike, MAX_LOOKALIKES, only_place};
 use crate::loop_closure::matching::{QueryKeyframe, ReferenceKeyframe};
 use crate::loop_closure::recognition::{Recognised, recognise};
 use crate::loop_closure::{LoopClosure, verification};
@@ -89,6 +90,13 @@ impl Mapper {
             let is_enough = place.stands_alone() || self.config.sightings < 2;
             return if is_enough { self.accept(closure, images) } else { self.support(closure, images) };
         }
+        // To localize one match suffices, and a picture may be all there is.
+        if self.config.sightings < 2
+            && !self.is_tied_to_old(new)
+            && let Some(closure) = self.among_lookalikes(new, &query, images)?
+        {
+            return self.accept(closure, images);
+        }
         if let Some(closure) = contradictory {
             self.support(closure, images)?;
         }
@@ -106,6 +114,31 @@ impl Mapper {
             }
         }
         Ok(())
+    }
+
+    /// The place of a picture among those of the map that look alike, if the images tell them
+    /// apart.
+    fn among_lookalikes(
+        &self,
+        new: KeyframeId,
+        query: &QueryKeyframe,
+        images: &mut dyn KeyframeStore,
+    ) -> Result<Option<LoopClosure>> {
+        let (Some(keyframe), Some(at)) = (self.keyframe(new), self.seen_from(new)) else { return Ok(None) };
+        let compared = |id| self.compares(new, id);
+        let mut alike = self.places.lookalikes(&keyframe.signature, MAX_LOOKALIKES, &compared);
+        alike.sort_by_key(|one| one.keyframe);
+        let mut found = Vec::new();
+        for of_keyframe in alike.chunk_by(|a, b| a.keyframe == b.keyframe) {
+            let id = of_keyframe[0].keyframe;
+            let (Some(reference), Some(pose)) = (self.reference(id, images)?, self.graph.pose(id)) else {
+                continue;
+            };
+            let registered = |one| Lookalike::new(&self.matcher, (query, &reference), one, &pose);
+            found.extend(of_keyframe.iter().filter_map(registered));
+        }
+        let place = only_place(&found, self.matcher.view_m(&at));
+        Ok(place.map(|(old, sighting)| verification::closure(new, old, &sighting, Vector4::zeros())))
     }
 
     /// Records the ratio of the scales of two sessions that recognised the same ground.
