@@ -216,7 +216,8 @@ const ROUGH_ABOVE: f64 = 12.0;
 /// between noise, which gives 1 where frames share it, and [`ROUGH_ABOVE`].
 const SUSPECTED_ABOVE: f64 = 4.0;
 
-/// Mean product, in units of the noise, below which rough ground ends (hysteresis). Not derived; chosen.
+/// Mean product, in units of the noise, below which rough ground ends (hysteresis). Not derived;
+/// chosen.
 const SMOOTH_BELOW: f64 = 3.0;
 
 /// Threshold of a squared residual over its variance: three standard deviations.
