@@ -25,14 +25,14 @@ static GROUND: LazyLock<Ground> = LazyLock::new(|| {
 pub struct Robot {
     pub name: &'static str,
     pub camera: Camera,
-    /// The calibration that it was told.
+    /// The calibration that it was given.
     pub told: Camera,
     /// Whether its images are mirrored.
     pub is_mirrored: bool,
     /// Time between two frames as it states it, seconds.
     pub step_s: f64,
     pub height_m: f64,
-    /// The height that it was told.
+    /// The height that it was given.
     pub told_m: f64,
     /// Begin, heading and number of frames of its lane.
     pub lane: ((f64, f64), f64, usize),

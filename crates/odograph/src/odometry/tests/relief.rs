@@ -12,7 +12,7 @@ fn error_at_end_m(path: PathKind, terrain: Terrain, seed: u64) -> f64 {
     error_of_images(path, terrain, seed, 2.0, |image| image)
 }
 
-/// The same of images with sensor noise of so many gray levels that the camera has processed.
+/// The same of images with sensor noise, gray levels, that the camera has processed.
 fn error_of_images(
     path: PathKind,
     terrain: Terrain,
@@ -88,7 +88,7 @@ fn smoothed(image: GrayImage) -> GrayImage {
 
 #[test]
 fn undulating_ground_is_seen_under_noise_that_neighbouring_pixels_share() {
-    // Tracks are off by three times what white noise of that size explains.
+    // Noise that neighbouring pixels share moves tracks by more than white noise of that size.
     let undulation = Some(Undulation { amplitude_m: 0.03, wavelength_m: 2.0 });
     let path = PathKind::Straight { length_m: 2.0 };
     let terrain = Terrain { undulation, ..Terrain::default() };
