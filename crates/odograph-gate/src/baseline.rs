@@ -1,6 +1,6 @@
 //! The baseline of stored results, and the comparison of new results with it.
 
-use crate::figures::{Better, DRAWS_ALLOWED, Figures, Measure, looseness, measure};
+use crate::figures::{Better, DRAWS_ALLOWED, Figures, Measure, TIMES, looseness, measure};
 use odograph::error::{Error, Result};
 use serde::{Deserialize, Serialize};
 use std::collections::BTreeMap;
@@ -157,6 +157,15 @@ impl Comparison {
         comparison
     }
 
+    /// Names of the rows that are worse in nothing but their times.
+    pub fn only_slower(&self) -> Vec<&str> {
+        let mut worse: BTreeMap<&str, bool> = BTreeMap::new();
+        for change in self.changes.iter().filter(|change| change.verdict == BaselineVerdict::Worse) {
+            *worse.entry(&change.row).or_insert(true) &= TIMES.contains(&change.key);
+        }
+        worse.into_iter().filter_map(|(row, only_times)| only_times.then_some(row)).collect()
+    }
+
     /// Whether no result is worse.
     pub fn is_passed(&self) -> bool {
         !self.changes.iter().any(|change| change.verdict == BaselineVerdict::Worse)
@@ -235,6 +244,19 @@ mod tests {
         assert!(!worse.is_passed() && worse.worse == 1);
         assert!(!compared(&[("posed_percent", 100.0)], &[("posed_percent", 99.0)]).is_passed());
         assert!(!compared(&[("lost", 0.0)], &[("lost", 1.0)]).is_passed());
+    }
+
+    #[test]
+    fn a_row_that_is_only_slower_is_known_and_keeps_its_shorter_times() {
+        let slower = compared(&[("p99_ratio", 3.0), ("lost", 0.0)], &[("p99_ratio", 9.0), ("lost", 0.0)]);
+        assert_eq!(slower.only_slower(), ["asphalt"]);
+        let wrong_too = compared(&[("p99_ratio", 3.0), ("lost", 0.0)], &[("p99_ratio", 9.0), ("lost", 1.0)]);
+        assert!(wrong_too.only_slower().is_empty());
+        let mut figures = row("asphalt", &[("p99_ratio", 9.0), ("frame_ratio", 1.0), ("lost", 1.0)]).figures;
+        let again = [("p99_ratio", 3.0), ("frame_ratio", 2.0), ("lost", 0.0)];
+        figures.keep_shorter_times(&row("asphalt", &again).figures);
+        let kept = [("p99_ratio", 3.0), ("frame_ratio", 1.0), ("lost", 1.0)];
+        assert_eq!(figures, row("asphalt", &kept).figures);
     }
 
     #[test]

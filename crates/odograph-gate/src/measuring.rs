@@ -31,6 +31,33 @@ enum Job {
 /// Measures all selected rows; real recordings only if their data is available.
 pub fn measure(arguments: &GateArguments) -> GateResults {
     let mut measured = GateResults::default();
+    let jobs = jobs(arguments, &mut measured.skipped);
+    (measured.rows, measured.failed) = measure_rows(arguments, &jobs, arguments.thread_count());
+    let mut process = Figures::default();
+    // Peak memory is only comparable with all rows and the default threads, hence the same clips in
+    // memory.
+    if arguments.words.is_empty() && arguments.threads.is_none() && arguments.seeds.is_none() {
+        peak_memory_mb().into_iter().for_each(|megabytes| process.set("peak_memory_mb", megabytes));
+    }
+    measured.process = Figures::over_seeds(&[process]);
+    measured
+}
+
+/// Measures the rows of those names again, one after the other, and keeps the shorter times.
+/// Processor time counts what a virtual machine's host or a shared core takes away, so a row that
+/// is slow in one run may only have been disturbed.
+pub fn measure_times_again(arguments: &GateArguments, measured: &mut GateResults, names: &[&str]) {
+    let mut jobs = jobs(arguments, &mut Vec::new());
+    jobs.retain(|(name, _)| names.contains(&name.as_str()));
+    for again in measure_rows(arguments, &jobs, 1).0 {
+        for row in measured.rows.iter_mut().filter(|row| row.name == again.name) {
+            row.figures.keep_shorter_times(&again.figures);
+        }
+    }
+}
+
+/// The clips of all selected rows.
+fn jobs(arguments: &GateArguments, skipped: &mut Vec<Skipped>) -> Vec<(String, Job)> {
     let mut jobs: Vec<(String, Job)> = Vec::new();
     let data = recordings::folder();
     for recording in recordings::all() {
@@ -42,7 +69,7 @@ pub fn measure(arguments: &GateArguments) -> GateResults {
             jobs.push((recording.name.to_owned(), Job::Real(recording)));
         } else {
             let reason = format!("no {}", data.display());
-            measured.skipped.push(Skipped { name: recording.name.to_owned(), reason });
+            skipped.push(Skipped { name: recording.name.to_owned(), reason });
         }
     }
     for row in arguments.rows() {
@@ -51,31 +78,34 @@ pub fn measure(arguments: &GateArguments) -> GateResults {
             jobs.push((row.name.to_owned(), Job::Rendered { row: Box::new(row.clone()), seed }));
         }
     }
-    let results = in_parallel(&jobs, arguments.thread_count());
+    jobs
+}
+
+/// The results of the clips' rows, and the rows that ended with an error.
+fn measure_rows(
+    arguments: &GateArguments,
+    jobs: &[(String, Job)],
+    threads: usize,
+) -> (Vec<RowFigures>, Vec<Skipped>) {
+    let (mut rows, mut failed) = (Vec::new(), Vec::new());
+    let results = in_parallel(jobs, threads);
     let mut names: Vec<&str> = jobs.iter().map(|(name, _)| name.as_str()).collect();
     names.dedup();
     for name in names {
         let of_row = || results.iter().filter(|(row, _)| row == name).map(|(_, result)| result);
         if let Some(error) = of_row().find_map(|result| result.as_ref().err()) {
-            measured.failed.push(Skipped { name: name.to_owned(), reason: error.clone() });
+            failed.push(Skipped { name: name.to_owned(), reason: error.clone() });
             continue;
         }
         let figures: Vec<Figures> = of_row().flatten().cloned().collect();
-        measured.rows.push(RowFigures {
+        rows.push(RowFigures {
             name: name.to_owned(),
             first_seed: arguments.first_seed,
             seeds: figures.len() as u64,
             figures: Figures::over_seeds(&figures),
         });
     }
-    let mut process = Figures::default();
-    // Peak memory is only comparable with all rows and the default threads, hence the same clips in
-    // memory.
-    if arguments.words.is_empty() && arguments.threads.is_none() && arguments.seeds.is_none() {
-        peak_memory_mb().into_iter().for_each(|megabytes| process.set("peak_memory_mb", megabytes));
-    }
-    measured.process = Figures::over_seeds(&[process]);
-    measured
+    (rows, failed)
 }
 
 /// The results of all jobs, or the errors, in the order of the jobs.
