@@ -316,6 +316,8 @@ mod tests {
             ("height_m = 'tall'", "height_m is \"tall\""),
             ("height_m = 1\nroll_deg = 1\nroll_rad = 1", "both `roll_deg` and `roll_rad`"),
             ("height_m = 1\npitch_deg = 95", "does not look at the ground"),
+            ("height_m = 1\nroll_deg = 78", "does not look at the ground"),
+            ("height_m = 1\nroll_deg = 60\npitch_deg = -62", "does not look at the ground"),
             ("height_m = 1\n\nroll_deg = = 3", "line 3"),
             ("height_m = 1\nheight_m = 2", "line 2"),
             ("height_m = 1\nroll_dg = 2", "unknown key `roll_dg`; did you mean `roll_deg`?"),

@@ -40,8 +40,8 @@ const CONVERGED: f64 = 1e-8;
 /// iterations are plain least squares.
 const ROBUST_ITERATIONS: usize = 15;
 
-/// A camera tilted further than this sees no ground.
-const MAX_TILT_RAD: f64 = 1.4;
+/// A camera tilted further than this is not accepted as a mount (`Rig::validated`).
+const MAX_TILT_RAD: f64 = 1.3;
 
 /// A pair with fewer inliers is not used.
 const MIN_INLIERS: f64 = 12.0;
