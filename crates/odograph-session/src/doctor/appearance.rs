@@ -241,6 +241,22 @@ impl Appearance {
     }
 }
 
+/// Lengths of a blur, pixels, and the sharpness along it that they leave: means over rendered
+/// asphalt, carpet, grass and concrete.
+const SHARPNESS_BY_BLUR: [(f64, f64); 5] =
+    [(0.0, 1.0), (3.0, 0.905), (5.0, 0.772), (8.0, 0.643), (13.0, 0.555)];
+
+/// Length of a blur that leaves this sharpness, pixels.
+pub fn blur_px(sharpness: f64) -> f64 {
+    let (longest_px, least) = SHARPNESS_BY_BLUR[SHARPNESS_BY_BLUR.len() - 1];
+    let sharpness = sharpness.clamp(least, 1.0);
+    let between = SHARPNESS_BY_BLUR.windows(2).find(|pair| sharpness >= pair[1].1);
+    between.map_or(longest_px, |pair| {
+        let ((from_px, from), (to_px, to)) = (pair[0], pair[1]);
+        from_px + (to_px - from_px) * (from - sharpness) / (from - to)
+    })
+}
+
 #[cfg(test)]
 mod tests {
     use super::*;
@@ -296,5 +312,13 @@ mod tests {
         assert!(along(&blurred(&squares(5, 5))) < 0.8);
         assert!(Sharpness::of(&blurred(&squares(5, 5))).along((0.0, -1.0)).unwrap() > 1.2);
         assert_eq!(Sharpness::of(&GrayImage::new(320, 240)).along((1.0, 0.0)), None);
+    }
+
+    #[test]
+    fn blur_follows_from_sharpness() {
+        assert_eq!(blur_px(1.2), 0.0);
+        assert!((blur_px(0.772) - 5.0).abs() < 1e-9);
+        assert!((blur_px(0.7075) - 6.5).abs() < 1e-9);
+        assert!((blur_px(0.1) - 13.0).abs() < 1e-9);
     }
 }

@@ -1,6 +1,6 @@
 //! From measures to findings: thresholds, and what to do.
 
-use super::appearance::Appearance;
+use super::appearance::{Appearance, blur_px};
 use super::intervals::Intervals;
 use super::lens::{Codec, Coded, GivenLens};
 use super::tracking::Tracking;
@@ -549,28 +549,12 @@ const LONGEST_USUAL_S: f64 = 1.0 / 30.0;
 /// Blur below this cannot be distinguished from the texture, pixels.
 const LEAST_BLUR_PX: f64 = 3.0;
 
-/// Lengths of a blur, pixels, and the sharpness along it that they leave: means over rendered
-/// asphalt, carpet, grass and concrete.
-const SHARPNESS_BY_BLUR: [(f64, f64); 5] =
-    [(0.0, 1.0), (3.0, 0.905), (5.0, 0.772), (8.0, 0.643), (13.0, 0.555)];
-
 /// How many frames are lost; `most` is the most frequent reason and how many frames have it.
 fn losses_text(lost: usize, frames: usize, most: (usize, Option<LossReason>)) -> String {
     let mostly = if most.0 < lost { "mostly " } else { "" };
     let why = most.1.map_or_else(String::new, |reason| format!(", {mostly}lost:{reason}"));
     let have = if lost == 1 { "has" } else { "have" };
     format!("{lost} of {frames} frames {have} no pose{why}")
-}
-
-/// Length of a blur that leaves this sharpness, pixels.
-fn blur_px(sharpness: f64) -> f64 {
-    let (longest_px, least) = SHARPNESS_BY_BLUR[SHARPNESS_BY_BLUR.len() - 1];
-    let sharpness = sharpness.clamp(least, 1.0);
-    let between = SHARPNESS_BY_BLUR.windows(2).find(|pair| sharpness >= pair[1].1);
-    between.map_or(longest_px, |pair| {
-        let ((from_px, from), (to_px, to)) = (pair[0], pair[1]);
-        from_px + (to_px - from_px) * (from - sharpness) / (from - to)
-    })
 }
 
 #[cfg(test)]
@@ -593,13 +577,5 @@ mod tests {
         assert_eq!(text(1, 1, Some(LossReason::Bare)), "1 of 300 frames has no pose, lost:bare");
         assert_eq!(text(3, 3, Some(LossReason::Bare)), "3 of 300 frames have no pose, lost:bare");
         assert_eq!(text(3, 2, Some(LossReason::Bare)), "3 of 300 frames have no pose, mostly lost:bare");
-    }
-
-    #[test]
-    fn blur_follows_from_sharpness() {
-        assert_eq!(blur_px(1.2), 0.0);
-        assert!((blur_px(0.772) - 5.0).abs() < 1e-9);
-        assert!((blur_px(0.7075) - 6.5).abs() < 1e-9);
-        assert!((blur_px(0.1) - 13.0).abs() < 1e-9);
     }
 }
