@@ -463,12 +463,14 @@ fn the_page_shows_a_run_while_it_grows_and_afterwards() {
 
 /// The same page for the output folder of the finished run.
 fn look_at_the_finished_run(browser: &mut Browser, place: &LiveFolder) {
-    let frames = statistics(&place.path("out"))["frames"].clone();
+    let [frames, keyframes] =
+        ["frames", "keyframes"].map(|name| statistics(&place.path("out"))[name].clone());
     let mut view = place.server("view", "out");
     let page = browser.open(&view.url, (1280, 800), true);
     browser
         .wait(&page, &format!("document.body.dataset.records == {frames} && document.body.dataset.at == 0"));
     browser.wait(&page, "document.body.dataset.tiles > 3 && document.body.dataset.marks == 2");
+    browser.wait(&page, &format!("document.body.dataset.keyframes == {keyframes}"));
     browser.press(&page, " ");
     browser.wait(&page, "document.body.dataset.at > 3");
     browser.press(&page, " ");

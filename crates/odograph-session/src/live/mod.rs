@@ -43,6 +43,7 @@ mod map_frame;
 pub use capturing::{FAREWELL, FRAMES_WAITING, Farewell, PATIENCE, STATUS_EVERY, capture};
 pub use gnss::GnssSource;
 pub use map_graph::{map_graph, map_markers};
+pub use page_layers::show_map_of_run;
 pub use recorder::folder_name_now;
 pub use sinks::{LiveFrame, PoseSink};
 pub use source::{CaptureOptions, LiveInput, open_live_input};

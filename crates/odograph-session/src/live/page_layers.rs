@@ -93,10 +93,15 @@ pub fn show_results(hub: &Hub, ground: &LiveGround, folder: &Path) {
     let records = table.ok().and_then(|table| TrackRecord::from_csv(&table).ok());
     let Some(records) = records else { return };
     hub.replace_records(&records);
+    show_map_of_run(hub, folder);
+}
+
+/// Shows keyframes, loop closures and markers of the map in the folder of a run, where it has one
+/// that can be read. The records must be in the map frame.
+pub fn show_map_of_run(hub: &Hub, folder: &Path) {
     let Ok(file) = MapFile::open_read_only(&folder.join("map.gpkg")) else { return };
     if let Ok(map) = file.map() {
         let mut graph = map_graph(&map);
-        // The records are in the map frame already.
         graph["corrections"] = json!([]);
         hub.notify("map", &graph);
     }

@@ -8,6 +8,7 @@ use odograph::error::{Error, Result};
 use odograph::mosaic::Mosaic;
 use odograph_live::{GroundPicture, Hub, Introduction, Mark, Phase, Status, TiledGround, TrackRecord};
 use odograph_map::MapFile;
+use odograph_session::live::show_map_of_run;
 use odograph_session::{RunPlan, UnfinishedRun};
 use std::io::ErrorKind;
 use std::path::{Path, PathBuf};
@@ -102,6 +103,7 @@ fn serve_run(folder: &Path, serve: &ServeArguments) -> Result<Serving> {
     let hub = Arc::new(Hub::new(introduction, ground));
     let serving = Serving::start(serve, hub, Offer::of_run(folder))?;
     show(&serving, &records, marks(folder, &records));
+    show_map_of_run(serving.hub(), folder);
     Ok(serving)
 }
 
