@@ -37,9 +37,12 @@ impl MadeFolders {
         !self.0.is_empty()
     }
 
-    /// The folder that a file is to be written into, made where it is missing.
+    /// The folder that a file is to be written into, made where it is missing. Fails if the file
+    /// cannot be written there.
     pub fn of_file(path: &Path) -> Result<Self> {
-        Self::new(path.parent().unwrap_or(Path::new("")))
+        let made = Self::new(path.parent().unwrap_or(Path::new("")))?;
+        check_writable(path)?;
+        Ok(made)
     }
 }
 

@@ -51,8 +51,8 @@ pub(crate) fn check_output(path: &Path, force: bool) -> Result<()> {
     }
 }
 
-/// Whether a file can be made beside `path`.
-fn check_writable(path: &Path) -> Result<()> {
+/// Whether a file can be made beside `path`, to fail before minutes of work and not after.
+pub fn check_writable(path: &Path) -> Result<()> {
     let beside = beside(path);
     match fs::OpenOptions::new().write(true).create_new(true).open(&beside) {
         Ok(_) => fs::remove_file(&beside).map_err(|error| cannot_be_written(path, error)),

@@ -99,13 +99,13 @@ pub fn ground(arguments: GroundArguments) -> Result<Outcome> {
     for path in [&output, &picture_path] {
         files::check_output_file(path, arguments.force)?;
     }
+    let _made = files::MadeFolders::of_file(&output)?;
     let measured = match &arguments.board {
         Some(board) => board::measure(&arguments, board.parse()?)?,
         None => driving::measure(&arguments)?,
     };
     let camera = read_camera(&arguments.camera, source, size_of(&measured.frame))?.0;
     let drawn = picture::drawn(&camera, &measured)?;
-    let _made = files::MadeFolders::of_file(&output)?;
     files::write(&picture_path, &drawn)?;
     files::write(&output, rig_file::write_measured(&measured.rig).as_bytes()).inspect_err(|_| {
         let _ = fs::remove_file(&picture_path);

@@ -18,8 +18,8 @@ const BENT_BOARD: &str = "bent-board.yaml";
 pub struct CalibrationOutput {
     camera_file: PathBuf,
     report: PathBuf,
-    /// Folders that were made for it.
-    _made: MadeFolders,
+    /// Folders that were made for it, the inner one first.
+    _made: [MadeFolders; 2],
 }
 
 impl CalibrationOutput {
@@ -40,9 +40,9 @@ impl CalibrationOutput {
             return Err(Error::usage(format!("{} is a file; the report needs a folder", report.display())));
         }
         files::check_output_file(camera_file, force)?;
-        files::check_output_file(&report.join(PAGE), force)?;
-        // Fail before minutes of work, not after.
-        let made = MadeFolders::of_file(camera_file)?;
+        let page = report.join(PAGE);
+        files::check_output_file(&page, force)?;
+        let made = [MadeFolders::of_file(&page)?, MadeFolders::of_file(camera_file)?];
         Ok(Self { camera_file: camera_file.to_owned(), report, _made: made })
     }
 
@@ -97,7 +97,6 @@ impl CalibrationOutput {
             camera_file: &name,
         };
         let files = report.files()?;
-        let _made = MadeFolders::new(&self.report)?;
         for (name, bytes) in &files {
             files::write(&self.report.join(name), bytes)?;
         }

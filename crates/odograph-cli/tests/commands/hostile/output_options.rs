@@ -2,7 +2,7 @@
 
 use super::super::calibrate::boards;
 use super::recording::{names, y4m};
-use super::run_folder::{HostileFolder, Mounted};
+use super::run_folder::{HostileFolder, Mounted, assert_refused};
 use std::fmt::Write as _;
 use std::fs;
 use std::io::Write as _;
@@ -149,4 +149,22 @@ fn every_output_that_cannot_be_written_is_refused_in_one_sentence() {
     }
     assert_eq!(fs::read(place.path("plain")).unwrap(), b"mine");
     assert!(wrong.is_empty(), "{wrong}");
+}
+
+#[test]
+fn an_output_that_cannot_be_written_is_refused_before_the_work() {
+    let place = HostileFolder::new();
+    let Some(_mounted) = Mounted::new(&place.path("read-only"), "ro") else { return };
+    fs::write(place.path("drive.y4m"), y4m(12)).unwrap();
+    let board = "--board chessboard:7x5:30mm";
+    // There is no board in the recording, which is found only by looking through it.
+    for call in [
+        format!("calibrate drive.y4m {board} -o read-only/new.yaml"),
+        format!("calibrate drive.y4m {board} -o new.yaml --report read-only"),
+        format!("ground drive.y4m {board} --camera camera.yaml -o read-only/new.toml"),
+    ] {
+        let mut program = Command::new(env!("CARGO_BIN_EXE_odograph"));
+        program.args(call.split_whitespace()).current_dir(place.path("")).stdin(Stdio::null());
+        assert_refused(&program.output().unwrap(), 3, "read-only", &call);
+    }
 }
