@@ -6,6 +6,7 @@ mod console;
 mod files;
 mod interrupt;
 mod lengths;
+mod named_outputs;
 mod negative_values;
 mod profiles;
 mod tips;
@@ -70,7 +71,7 @@ fn width() -> Option<usize> {
 
 /// The program's command with its commands grouped in the help.
 fn command() -> clap::Command {
-    let command = negative_values::allowed(Arguments::command());
+    let command = named_outputs::required(negative_values::allowed(Arguments::command()));
     let command = width().into_iter().fold(command, clap::Command::term_width);
     let mut groups = String::new();
     for (heading, names) in GROUPS {
