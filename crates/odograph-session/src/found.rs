@@ -26,9 +26,8 @@ pub struct FixedInImage {
 
 impl FixedInImage {
     pub(crate) fn of(odometry: &Odometry) -> Self {
-        let fixed = odometry.fixed_in_image();
         let pattern_gray = odometry.correction().map(NonuniformityCorrection::rms_gray);
-        Self { share: fixed.share(), pattern_gray, mask: fixed.mask().cloned() }
+        Self { share: odometry.masked_share(), pattern_gray, mask: odometry.mask() }
     }
 
     /// Up to two lines; empty where there is nothing to say.

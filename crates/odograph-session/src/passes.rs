@@ -24,7 +24,7 @@ pub fn is_readable_again(source: &SourcePlan) -> bool {
 pub fn calibration_of(plan: &RunPlan) -> MultiPassCalibration {
     let readable_again = is_readable_again(&plan.source);
     let mut calibration = MultiPassCalibration::new(plan.camera.clone(), plan.rig);
-    calibration.correction = plan.correction.clone();
+    calibration.images.clone_from(&plan.images);
     let model = plan.odometry.motion.model;
     calibration.calibrates = readable_again && model == MotionModel::Auto;
     calibration.measures_shutter = readable_again && matches!(model, MotionModel::Auto | MotionModel::Free);
@@ -36,9 +36,7 @@ pub fn calibration_of(plan: &RunPlan) -> MultiPassCalibration {
 pub fn assume(plan: &mut RunPlan, calibration: &MultiPassCalibration) {
     plan.camera = calibration.camera.clone();
     plan.rig = calibration.rig;
-    plan.correction = calibration.correction.clone();
-    plan.fixed.clone_from(&calibration.fixed);
-    plan.motion.clone_from(&calibration.motion);
+    plan.images.clone_from(&calibration.images);
 }
 
 /// A continued map keeps what a run adds, so the beginning of the recording is examined before the

@@ -133,7 +133,7 @@ pub fn track(
     observer: &dyn Observer,
 ) -> Result<PassEnd<Tracked>> {
     let mapping = Mapping::new(plan, folder, output)?;
-    let tracker = tracker.expecting(mapping.expected_mask().filter(|_| plan.fixed.is_none()));
+    let tracker = tracker.expecting(mapping.expected_mask().filter(|_| plan.images.fixed.is_none()));
     let views = MosaicFrames::new(&plan.camera, folder.path());
     let video = output.video.as_ref().map(|path| begin_video(path, &plan.camera, reporter)).transpose()?;
     let mut tracking = TrackingStage {

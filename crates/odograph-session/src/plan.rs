@@ -5,17 +5,14 @@ use crate::sensors::SensorFiles;
 use crate::{files, mask};
 use odograph::camera::{Camera, LeverArm, Rig};
 use odograph::error::{Error, Result};
-use odograph::fixed_pattern::{ImageMask, NonuniformityCorrection};
 use odograph::formats::rig_file;
 use odograph::loop_closure::LoopClosureConfig;
-use odograph::motion::MeasuredMotion;
-use odograph::odometry::{Odometry, OdometryConfig};
+use odograph::odometry::{EarlierPass, Odometry, OdometryConfig};
 use odograph::pose_frame::{BaseLink, PoseFrame};
 use odograph_map::MapFile;
 use odograph_video::{Source, SourceOptions};
 use serde::{Deserialize, Serialize};
 use std::path::{Path, PathBuf};
-use std::sync::Arc;
 
 /// Source, camera and all parameters of a run.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
@@ -44,16 +41,9 @@ pub struct RunPlan {
     /// Markers on the ground.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub markers: Option<MarkerPlan>,
-    /// Fixed-pattern noise of the camera, where an earlier pass over the same frames found some.
+    /// What an earlier pass over the same frames has found in them.
     #[serde(skip)]
-    pub correction: Option<NonuniformityCorrection>,
-    /// What of the view does not move with the ground, where an earlier pass over the same frames
-    /// found much of it.
-    #[serde(skip)]
-    pub fixed: Option<Arc<ImageMask>>,
-    /// The motion within the images, where an earlier pass over the same frames has measured it.
-    #[serde(skip)]
-    pub motion: Option<Arc<MeasuredMotion>>,
+    pub images: EarlierPass,
     #[serde(default, skip_serializing_if = "SensorFiles::is_empty")]
     /// The other sensors.
     pub sensors: SensorFiles,
@@ -210,19 +200,10 @@ impl RunPlan {
     /// If a parameter is out of range, or the mask cannot be read or does not fit.
     pub fn odometry(&self) -> Result<Odometry> {
         let mut odometry = Odometry::new(self.camera.clone(), self.rig, self.odometry)?;
-        if let Some(correction) = &self.correction {
-            odometry = odometry.with_correction(correction.clone());
-        }
-        if let Some(motion) = &self.motion {
-            odometry = odometry.with_motion(Arc::clone(motion));
-        }
         if let Some(path) = &self.mask {
             odometry = odometry.with_mask(&mask::read(path)?).map_err(|error| error.at(path.display()))?;
         }
-        Ok(match &self.fixed {
-            Some(fixed) => odometry.with_fixed(fixed),
-            None => odometry,
-        })
+        Ok(odometry.with_earlier_pass(&self.images))
     }
 
     /// Reads the `run.toml` of an earlier run; paths in it are brought into the working directory.

@@ -13,7 +13,7 @@ use odograph::formats::rig_file;
 use odograph::ground_map::MountedCamera;
 use odograph::loop_closure::LoopClosureConfig;
 use odograph::motion::MotionModel;
-use odograph::odometry::OdometryConfig;
+use odograph::odometry::{EarlierPass, OdometryConfig};
 use odograph_map::MapFile;
 use std::path::Path;
 
@@ -68,9 +68,7 @@ impl RunBuilder {
             rig,
             frame: self.frame.or(rig.lever_arm.map(|_| FrameChoice::BaseLink)),
             antenna: self.antenna(&rig, observer)?,
-            correction: None,
-            fixed: None,
-            motion: None,
+            images: EarlierPass::default(),
             mask: self.mask.clone(),
             markers: self.markers.clone(),
             sensors: self.sensors.clone(),

@@ -236,9 +236,14 @@ fn track(
 /// Why a recording is tracked again.
 fn why_again(camera: &MultiPassCalibration) -> String {
     match camera.found_readout() {
-        _ if camera.motion.is_some() => "again, with the motion within the images as measured".to_owned(),
+        _ if camera.images.motion.is_some() => {
+            "again, with the motion within the images as measured".to_owned()
+        }
         Some(readout) if readout.mean_s == 0.0 => "again, with a global shutter".to_owned(),
-        None if camera.fixed.is_some() => "again, without what moves along with the camera".to_owned(),
+        None if camera.images.halvings > 0 => {
+            "again, at a coarser resolution: single pixels are noise".to_owned()
+        }
+        None if camera.images.fixed.is_some() => "again, without what moves along with the camera".to_owned(),
         _ => "again, with the camera as found".to_owned(),
     }
 }

@@ -221,7 +221,7 @@ fn measure(drive: &MaskedDrive, seed: u64, each: bool) -> Result<DriveFigures> {
             take(&frame.image, frame.truth)?;
         }
     }
-    let share = odometry.fixed_in_image().share();
+    let share = odometry.masked_share();
     let figures = figures(&poses, share);
     if each {
         println!("  {drive:?} seed {seed}: {figures:.2?}, {} keyframes", odometry.keyframes());

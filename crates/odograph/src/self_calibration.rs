@@ -7,10 +7,10 @@
 use crate::camera::{Camera, Rig};
 use crate::continuous_time::{MotionMeasurement, MotionWithinImages, ReadoutEstimation};
 use crate::error::Result;
-use crate::fixed_pattern::{ImageMask, NonuniformityCorrection};
-use crate::motion::{MeasuredMotion, Readout};
+use crate::fixed_pattern::ImageMask;
+use crate::motion::Readout;
 use crate::mounting::{CalibrationMonitor, CalibrationUpdate};
-use crate::odometry::{Odometry, OdometryConfig};
+use crate::odometry::{EarlierPass, Odometry, OdometryConfig};
 use crate::trajectory::FrameEstimate;
 use std::sync::Arc;
 
@@ -22,9 +22,11 @@ pub enum CameraDifference {
     /// Its readout time, which was unknown; none of a global shutter.
     Readout(Readout),
     /// It adds a fixed pattern to its images.
-    FixedPattern(NonuniformityCorrection),
+    FixedPattern(EarlierPass),
     /// A large part of its view does not move with the ground.
     FixedInView(Arc<ImageMask>),
+    /// Single pixels are mostly noise: its images are to be halved so often.
+    Resolution(u32),
     /// Its motion within the images, which the pass had to predict, is measured.
     Motion(MotionWithinImages),
 }
@@ -45,12 +47,8 @@ pub struct MultiPassCalibration {
     pub camera: Camera,
     /// Its mount above the ground.
     pub rig: Rig,
-    /// Correction of its fixed-pattern noise, if an earlier pass found some.
-    pub correction: Option<NonuniformityCorrection>,
-    /// What of the view does not move with the ground, if an earlier pass found much of it.
-    pub fixed: Option<Arc<ImageMask>>,
-    /// The motion within the images of a rolling shutter, once a pass has measured it.
-    pub motion: Option<Arc<MeasuredMotion>>,
+    /// What the passes have found in the images.
+    pub images: EarlierPass,
     /// Whether another mount or lens ends a pass.
     pub calibrates: bool,
     /// Whether a readout time that becomes known, or the motion within the images, ends a pass.
@@ -73,9 +71,7 @@ impl MultiPassCalibration {
             given: (camera.clone(), rig),
             camera,
             rig,
-            correction: None,
-            fixed: None,
-            motion: None,
+            images: EarlierPass::default(),
             calibrates: false,
             measures_shutter: false,
             corrects_pattern: false,
@@ -107,10 +103,11 @@ impl MultiPassCalibration {
         });
         CameraMonitor {
             calibration,
-            pattern: self.corrects_pattern && self.correction.is_none(),
-            view: self.corrects_pattern && self.correction.is_none() && self.fixed.is_none(),
+            pattern: self.corrects_pattern && self.images.correction.is_none(),
+            view: self.corrects_pattern && self.images.correction.is_none() && self.images.fixed.is_none(),
+            halvings: self.corrects_pattern.then_some(self.images.halvings),
             readout: self.measures_shutter.then(|| ReadoutEstimation::new(&self.camera)).flatten(),
-            motion: (self.measures_shutter && self.motion.is_none())
+            motion: (self.measures_shutter && self.images.motion.is_none())
                 .then(|| MotionMeasurement::new(&self.camera, self.readout_deviation_s()))
                 .flatten(),
         }
@@ -118,17 +115,7 @@ impl MultiPassCalibration {
 
     /// The odometry of the next pass. Fails as [`Odometry::new`] does.
     pub fn odometry(&self, config: OdometryConfig) -> Result<Odometry> {
-        let mut odometry = Odometry::new(self.camera.clone(), self.rig, config)?;
-        if let Some(correction) = &self.correction {
-            odometry = odometry.with_correction(correction.clone());
-        }
-        if let Some(fixed) = &self.fixed {
-            odometry = odometry.with_fixed(fixed);
-        }
-        if let Some(motion) = &self.motion {
-            odometry = odometry.with_motion(Arc::clone(motion));
-        }
-        Ok(odometry)
+        Ok(Odometry::new(self.camera.clone(), self.rig, config)?.with_earlier_pass(&self.images))
     }
 
     /// The readout time that the passes have found, if it was not given; zero is a global shutter.
@@ -149,12 +136,15 @@ impl MultiPassCalibration {
             CameraDifference::Calibration(found) => {
                 self.assume(*found);
             }
-            CameraDifference::FixedPattern(pattern) => {
-                (self.correction, self.fixed) = (Some(pattern), None);
+            CameraDifference::FixedPattern(found) => {
+                self.images = EarlierPass { motion: self.images.motion.take(), ..found };
             }
-            CameraDifference::FixedInView(mask) => self.fixed = Some(mask),
+            CameraDifference::FixedInView(mask) => self.images.fixed = Some(mask),
+            CameraDifference::Resolution(halvings) => {
+                (self.images.correction, self.images.halvings) = (None, halvings);
+            }
             CameraDifference::Motion(MotionWithinImages { motion, readout }) => {
-                self.motion = Some(Arc::new(motion));
+                self.images.motion = Some(Arc::new(motion));
                 if let Some(Readout { mean_s, variance_s2 }) = readout {
                     self.set_readout(mean_s, variance_s2.sqrt());
                 }
@@ -195,12 +185,18 @@ impl MultiPassCalibration {
 /// recording has shown, the tracks of the whole decide.
 const FOUND_READOUT_S: f64 = 5e-3;
 
+/// Frames at the beginning that are tracked again at the resolution that they call for; later ones
+/// stay as they are.
+const EARLY_FRAMES: u64 = 100;
+
 /// Compares the camera of one pass with what the pass assumes.
 #[derive(Debug, Default)]
 pub struct CameraMonitor {
     calibration: Option<CalibrationMonitor>,
     pattern: bool,
     view: bool,
+    /// How often the pass began to halve the images, if more would end it.
+    halvings: Option<u32>,
     readout: Option<ReadoutEstimation>,
     motion: Option<MotionMeasurement>,
 }
@@ -209,12 +205,17 @@ impl CameraMonitor {
     /// Takes the next frame, the result of [`Odometry::process`]. Returns a difference as soon as
     /// it is certain.
     pub fn watch(&mut self, frame: &FrameEstimate, odometry: &Odometry) -> Option<CameraDifference> {
+        let halvings = odometry.halvings();
+        if frame.frame < EARLY_FRAMES && self.halvings.is_some_and(|before| halvings > before) {
+            return Some(CameraDifference::Resolution(halvings));
+        }
         if let Some(pattern) = odometry.correction().filter(|_| self.pattern) {
             // What the other monitors would see comes from frames before the correction, too.
-            return pattern.is_settled().then(|| CameraDifference::FixedPattern(pattern.clone()));
+            let is_settled = pattern.is_settled();
+            return odometry.found_pattern().filter(|_| is_settled).map(CameraDifference::FixedPattern);
         }
-        if let Some(mask) = odometry.fixed_in_image().settled_mask().filter(|_| self.view) {
-            return Some(CameraDifference::FixedInView(Arc::clone(mask)));
+        if let Some(mask) = odometry.settled_mask().filter(|_| self.view) {
+            return Some(CameraDifference::FixedInView(mask));
         }
         self.motion.iter_mut().for_each(|motion| motion.watch(frame, odometry));
         if let Some(found) = self.readout.as_mut().and_then(|readout| readout.watch(frame, odometry)) {
@@ -230,8 +231,8 @@ impl CameraMonitor {
 
     /// The check at the end of the recording ([`CalibrationMonitor::at_end`]).
     pub fn at_end(&self, odometry: &Odometry) -> Option<CameraDifference> {
-        if let Some(pattern) = odometry.correction().filter(|_| self.pattern) {
-            return Some(CameraDifference::FixedPattern(pattern.clone()));
+        if let Some(found) = odometry.found_pattern().filter(|_| self.pattern) {
+            return Some(CameraDifference::FixedPattern(found));
         }
         let readout = || self.readout.as_ref()?.at_end().map(CameraDifference::Readout);
         let calibration = || {

@@ -22,7 +22,8 @@ use findings::Seen;
 pub use findings::{Finding, Judgement};
 use intervals::Intervals;
 use odograph::error::{Error, Result};
-use odograph::fixed_pattern::{FixedPattern, ImageMask, NonuniformityCorrection};
+use odograph::fixed_pattern::{FixedPattern, ImageMask};
+use odograph::odometry::EarlierPass;
 use odograph_video::Source;
 use serde::Serialize;
 use std::ops::Range;
@@ -75,8 +76,8 @@ impl RunBuilder {
         // Begins again as a run does: frames that were lost until a pattern that the camera adds,
         // or another mount or lens was known are not lost.
         let mut known = plan.clone();
-        known.correction = looked_at.look(&stretches, &mut source, &plan, may_begin_again, observer)?;
-        if known.correction.is_some() {
+        if let Some(pattern) = looked_at.look(&stretches, &mut source, &plan, may_begin_again, observer)? {
+            known.images = pattern;
             source = known.source.open()?;
             looked_at = Looked::new(size, &known, given.clone());
             looked_at.look(&stretches, &mut source, &known, false, observer)?;
@@ -149,7 +150,7 @@ impl Looked {
         plan: &RunPlan,
         pattern_may_end: bool,
         observer: &dyn Observer,
-    ) -> Result<Option<NonuniformityCorrection>> {
+    ) -> Result<Option<EarlierPass>> {
         observer.tracking_begins(Some(stretches.iter().map(|one| one.end - one.start).sum()));
         let mut pattern = None;
         for one in stretches {
@@ -158,7 +159,7 @@ impl Looked {
             }
             let mut stretch = Stretch::new(plan)?;
             let more = self.follow_to(one.end, source, &mut stretch, pattern_may_end, observer)?;
-            pattern = stretch.pattern().filter(|_| pattern_may_end).cloned();
+            pattern = stretch.pattern().filter(|_| pattern_may_end);
             stretch.end(&mut self.tracking);
             if !more || pattern.is_some() {
                 break;

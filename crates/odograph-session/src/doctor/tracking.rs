@@ -11,7 +11,7 @@ use odograph::geometry::{GroundPose, Pixel, length};
 use odograph::motion::{MotionModel, Readout};
 use odograph::mounting::{CalibrationMonitor, CalibrationUpdate};
 use odograph::numerics::median;
-use odograph::odometry::Odometry;
+use odograph::odometry::{EarlierPass, Odometry};
 use odograph::trajectory::{FrameEstimate, LossReason, TrackStatus};
 use odograph_video::Frame;
 
@@ -210,8 +210,8 @@ impl Stretch {
     }
 
     /// The pattern that the camera adds to its images, once it is known.
-    pub fn pattern(&self) -> Option<&NonuniformityCorrection> {
-        self.odometry.correction()
+    pub fn pattern(&self) -> Option<EarlierPass> {
+        self.odometry.found_pattern()
     }
 
     /// Ends the stretch: its calibration is kept.

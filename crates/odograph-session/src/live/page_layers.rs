@@ -40,12 +40,11 @@ impl PageLayers {
             }));
             hub.notify("elevations", &self.elevations.places);
         }
-        let fixed = odometry.fixed_in_image();
-        if fixed.share() != self.mask_share
-            && let Some(mask) = fixed.mask()
+        if odometry.masked_share() != self.mask_share
+            && let Some(mask) = odometry.mask()
         {
-            self.mask_share = fixed.share();
-            hub.notify("mask", &coarse(mask));
+            self.mask_share = odometry.masked_share();
+            hub.notify("mask", &coarse(&mask));
         }
     }
 }

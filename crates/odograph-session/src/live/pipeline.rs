@@ -333,7 +333,7 @@ impl Following<'_, '_> {
             beside.mapping.give(Happened { events, frame: is_keyframe.then(|| frame.clone()) });
         }
         if let Some(pose) = pose {
-            let mask = self.tracker.odometry.fixed_in_image().mask().cloned();
+            let mask = self.tracker.odometry.mask();
             beside.rendering.give((Posed { frame, pose, segment, is_keyframe }, mask));
         }
         Ok(())

@@ -186,6 +186,22 @@ impl Camera {
         self.readout_deviation_s
     }
 
+    /// The camera of the images at this level of a Gaussian pyramid: the place (x, y) is at (x, y) /
+    /// 2^`level` there.
+    pub(crate) fn halved(&self, level: u32) -> Self {
+        let scale = 0.5f64.powi(level as i32);
+        let side = |side: usize| (0..level).fold(side, |side, _| side.div_ceil(2));
+        Self {
+            width: side(self.width),
+            height: side(self.height),
+            fx: scale * self.fx,
+            fy: scale * self.fy,
+            cx: scale * self.cx,
+            cy: scale * self.cy,
+            ..self.clone()
+        }
+    }
+
     /// A pinhole camera whose image covers `field_of_view_m` (width, height, metres) on level
     /// ground seen from `height_m`: a measured field of view in place of a calibration. The field
     /// of view is measured between the outer edges of the outermost pixels.

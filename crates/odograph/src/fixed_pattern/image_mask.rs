@@ -81,6 +81,19 @@ impl ImageMask {
         mask.counted()
     }
 
+    /// The mask of an image of another size whose pixels are 2^`halvings` times as large: a cell is
+    /// masked if the nearest cell of this one is.
+    pub(crate) fn scaled(&self, size: (usize, usize), halvings: i32) -> Self {
+        let scale = 2f64.powi(halvings);
+        let mut mask = Self::nothing(size);
+        for (at, covered) in mask.covered.iter_mut().enumerate() {
+            let (column, row) = (at % mask.columns, at / mask.columns);
+            let from = |cell: usize| (scale * (cell as f64 + 0.5) * CELL_PX as f64) as usize;
+            *covered = self.covers(from(column), from(row));
+        }
+        mask.counted()
+    }
+
     fn counted(mut self) -> Self {
         self.count = self.covered.iter().filter(|covered| **covered).count();
         self

@@ -147,6 +147,19 @@ impl FixedPattern {
         };
     }
 
+    /// The same for images of half the size, of which nothing is known yet but the mask.
+    pub(crate) fn halved(&self) -> Self {
+        let size = (self.size.0.div_ceil(2), self.size.1.div_ceil(2));
+        let mut fresh = Self::new(size);
+        if let Some(given) = &self.given {
+            fresh = fresh.with_given(given.scaled(size, 1));
+        }
+        match &self.mask {
+            Some(mask) => fresh.with_known(&mask.scaled(size, 1)),
+            None => fresh,
+        }
+    }
+
     /// The mask of pixels that are not ground; `None` where it is empty.
     pub fn mask(&self) -> Option<&Arc<ImageMask>> {
         self.mask.as_ref()

@@ -12,7 +12,7 @@ mod row_noise;
 pub(crate) mod simd;
 
 pub use noise::noise_variance;
-pub use pyramid::Pyramid;
+pub use pyramid::{Halving, Pyramid};
 pub use restoration::{ImageDefects, Restoration};
 
 /// An owned image, 8 bits per sample, channels interleaved, rows without padding.

@@ -118,6 +118,20 @@ fn coarser_sizes(image: &GrayImage, most: usize) -> impl Iterator<Item = (usize,
     std::iter::successors(Some((image.width(), image.height())), half).skip(1).take(most.saturating_sub(1))
 }
 
+/// Halves images as the levels of a pyramid are made.
+#[derive(Debug, Default)]
+pub struct Halving {
+    column_sums: Vec<u16>,
+}
+
+impl Halving {
+    /// Makes `half` the next coarser level of an image.
+    pub fn halve(&mut self, image: &GrayImage, half: &mut GrayImage) {
+        half.resize(image.width().div_ceil(2), image.height().div_ceil(2));
+        halve(image, half, &mut self.column_sums);
+    }
+}
+
 /// Filters with the binomial kernel 1 4 6 4 1 in both directions and decimates by two (P. Burt and
 /// E. Adelson, "The Laplacian pyramid", 1983). Beyond the border the image is mirrored about its
 /// outermost samples.

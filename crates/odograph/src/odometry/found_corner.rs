@@ -13,6 +13,8 @@ pub struct FoundCorner {
     pub warp: Warp,
     /// Of the position, from the noise of the samples, pixels².
     pub covariance_px2: Matrix2<f64>,
+    /// Part of the patch's contrast that the keyframe does not explain, 0 to 1.
+    pub dissimilarity: f32,
 }
 
 stored!(FoundCorner);

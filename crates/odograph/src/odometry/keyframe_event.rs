@@ -116,8 +116,13 @@ impl Odometry {
             covariance: keyframe.covariance + keyframe.model_covariance + systematic,
             systematic,
             tie,
-            image: global_image(&self.camera, keyframe.pyramid.base(), &keyframe.pose, &keyframe.shutter),
-            mask: keyframe.mask.clone(),
+            image: self.resolution.enlarged(global_image(
+                &self.camera,
+                keyframe.pyramid.base(),
+                &keyframe.pose,
+                &keyframe.shutter,
+            )),
+            mask: keyframe.mask.as_ref().map(|mask| self.resolution.enlarged_mask(mask)),
             ground: keyframe.ground_in_view(&self.camera),
         })));
     }

@@ -277,6 +277,11 @@ impl Learned {
         }
     }
 
+    /// The images have another noise from here on.
+    pub fn forget_noise(&mut self) {
+        (self.residual_px, self.least_noise_ratio) = (None, None);
+    }
+
     /// A frame was measured, and this part of the corners in view agreed.
     pub fn saw(&mut self, inlier_ratio: f64, estimate: &MotionEstimate) {
         let residual_px = estimate.residual_px;

@@ -8,6 +8,7 @@
 mod candidate;
 mod config;
 mod ambiguity;
+mod earlier_pass;
 mod exposure;
 mod found_corner;
 mod frame_uncertainty;
@@ -25,6 +26,7 @@ mod rate_filter;
 mod recalibration;
 mod recovery;
 mod repeated;
+mod resolution;
 mod shutter;
 mod standing;
 mod succession;
@@ -42,6 +44,7 @@ use crate::motion::{Elevation, MeasuredMotion, MotionEstimate, MotionModel, Pose
 use crate::trajectory::{FrameEstimate, LossReason, PlaneMeasurement, PoseEstimate, TrackStatus};
 use candidate::SegmentCandidate;
 pub use config::{KeyframeConfig, OdometryConfig};
+pub use earlier_pass::EarlierPass;
 use found_corner::FoundCorner;
 use keyframe::{Keyframe, KeyframeMemory, KeyframeUpdate};
 pub use keyframe_event::{FrameReference, KeyframeEvent, NewKeyframe};
@@ -50,6 +53,7 @@ use learned::Learned;
 use nalgebra::{Matrix2, Matrix6, Matrix6x2};
 use pattern_noise::PatternNoise;
 use recovery::Recovery;
+use resolution::WorkingResolution;
 use standing::Standing;
 use std::sync::Arc;
 use tracking::Measurement;
@@ -85,8 +89,10 @@ impl TrackView {
 /// The pipeline: gray images in, poses out.
 #[derive(Debug)]
 pub struct Odometry {
+    /// The camera of the images that are tracked.
     camera: Camera,
     config: OdometryConfig,
+    resolution: WorkingResolution,
     first_pose: GroundPose,
     keyframe: Option<Keyframe>,
     memory: KeyframeMemory,
@@ -148,16 +154,15 @@ impl Odometry {
     /// A pipeline for one recording. Fails where the rig or a parameter cannot be.
     pub fn new(camera: Camera, rig: Rig, config: OdometryConfig) -> Result<Self> {
         let first_pose = rig.validated()?.first_pose();
-        let config = config.validated()?.for_camera(&camera);
-        Ok(Self::starting_at(first_pose, camera, config))
+        Ok(Self::starting_at(first_pose, camera, config.validated()?))
     }
 
-    /// A pipeline with a configuration for this camera.
     fn starting_at(first_pose: GroundPose, camera: Camera, config: OdometryConfig) -> Self {
         let fixed = FixedPattern::new((camera.width(), camera.height()));
         Self {
             recovery: Recovery::new(&camera),
-            config,
+            resolution: WorkingResolution::full(&camera, config),
+            config: config.for_camera(&camera),
             first_pose,
             learned: Learned::with_rolling_shutter(&first_pose, &camera, config.motion.model),
             camera,
@@ -218,20 +223,10 @@ impl Odometry {
         Ok(self)
     }
 
-    /// Subtracts a pattern that the camera is known to add to its images.
-    pub fn with_correction(mut self, correction: NonuniformityCorrection) -> Self {
-        self.pattern_noise = PatternNoise::known(correction);
-        self
-    }
-
-    /// Begins with the mask of what is static in the images, as an earlier pass has found it.
+    /// Begins with a mask of what is static in the images.
     pub fn with_fixed(self, mask: &ImageMask) -> Self {
-        Self { fixed: self.fixed.with_known(mask), ..self }
-    }
-
-    /// Takes the motion within the images as an earlier pass has measured it.
-    pub fn with_motion(self, motion: Arc<MeasuredMotion>) -> Self {
-        Self { motion, ..self }
+        let mask = self.resolution.reduced_mask(mask);
+        Self { fixed: self.fixed.with_known(&mask), ..self }
     }
 
     /// The pattern that the camera adds to its images, where it is stronger than the ground.
@@ -239,9 +234,21 @@ impl Odometry {
         self.pattern_noise.correction()
     }
 
-    /// Pixels that do not move with the ground, as far as it is known.
-    pub fn fixed_in_image(&self) -> &FixedPattern {
-        &self.fixed
+    /// Mask of the pixels that do not move with the ground; `None` where all do, as far as it is
+    /// known.
+    pub fn mask(&self) -> Option<Arc<ImageMask>> {
+        self.fixed.mask().map(|mask| self.resolution.enlarged_mask(mask))
+    }
+
+    /// The masked fraction of the image, 0 to 1.
+    pub fn masked_share(&self) -> f64 {
+        self.fixed.share()
+    }
+
+    /// The mask, where a later pass over the same images should begin with it: a large one that
+    /// does not change any more.
+    pub fn settled_mask(&self) -> Option<Arc<ImageMask>> {
+        self.fixed.settled_mask().map(|mask| self.resolution.enlarged_mask(mask))
     }
 
     /// Processes the next frame.
@@ -252,7 +259,8 @@ impl Odometry {
     pub fn process(&mut self, image: GrayImage, time_s: f64) -> Result<FrameEstimate> {
         self.check_input(&image, time_s)?;
         self.check_readout(time_s)?;
-        let mut image = self.restoration.restore(image);
+        let image = self.restoration.restore(image);
+        let mut image = self.resolution.reduce(image);
         let seen = self.pattern_noise.keep(&image, self.frames);
         if let Some(correction) = self.pattern_noise.correction() {
             correction.apply(&mut image);
@@ -287,6 +295,7 @@ impl Odometry {
             self.standing.counts_from(frame.estimate.as_ref().map(|estimate| estimate.pose));
         }
         self.learn_pattern(seen, frame.estimate.as_ref().map(|estimate| estimate.pose), since_last);
+        self.choose_resolution();
         self.frames += 1;
         Ok(frame)
     }
@@ -352,7 +361,8 @@ impl Odometry {
     }
 
     fn check_input(&self, image: &GrayImage, time_s: f64) -> Result<()> {
-        let (width, height) = (self.camera.width(), self.camera.height());
+        let full = self.resolution.full_camera();
+        let (width, height) = (full.width(), full.height());
         if (image.width(), image.height()) != (width, height) {
             return Err(Error::input(format!(
                 "frame {} is {}x{} but the camera is calibrated for {width}x{height}; calibrate at the recording's size",
@@ -410,6 +420,7 @@ impl Odometry {
         let uncertainty = self.uncertainty(&estimate, &update);
         let stated_covariance = self.stated_covariance(&uncertainty, &estimate.pose);
         self.show_tracks(&found, &tiles, &estimate);
+        self.resolution.watch(&found, &estimate.inliers);
         self.learn(&found, &estimate, &update, inlier_ratio);
         self.follow(time_s, &estimate, uncertainty.covariance);
         let improved = self.improve(time_s, &estimate);
@@ -440,7 +451,7 @@ impl Odometry {
             estimate: Some(PoseEstimate { covariance: stated_covariance, ..improved }),
             tracks: estimate.inliers.len(),
             inliers: estimate.inlier_count(),
-            residual_px: estimate.residual_px,
+            residual_px: self.resolution.scale() * estimate.residual_px,
             keyframe,
             segment: self.segment,
         }
@@ -457,22 +468,29 @@ impl Odometry {
 
     /// Keeps the tracks of a measured frame for [`Odometry::tracks`].
     fn show_tracks(&mut self, found: &[FoundCorner], tiles: &[TileTrack], estimate: &MotionEstimate) {
+        let resolution = &self.resolution;
         let corners = self.keyframe.as_ref().map_or(&[][..], |keyframe| &keyframe.corners);
         let view = |(index, (found, &inlier)): (usize, (&FoundCorner, &bool))| {
             let corner = corners.get(found.corner)?.template.centre();
-            Some(TrackView {
+            Some(resolution.track_view(TrackView {
                 pixel: found.warp.position,
                 corner,
                 inlier,
                 covariance_px2: found.covariance_px2,
                 elevation: estimate.elevations.get(index).map_or(Elevation::FLAT, |seen| seen.elevation),
-            })
+            }))
         };
         self.tracks.clear();
         self.tracks.extend(found.iter().zip(&estimate.inliers).enumerate().filter_map(view));
         let tile = |(&tile, &inlier): (&TileTrack, &bool)| {
             let TileTrack { reference: corner, pixel, covariance_px2 } = tile;
-            TrackView { pixel, corner, inlier, covariance_px2, elevation: Elevation::FLAT }
+            resolution.track_view(TrackView {
+                pixel,
+                corner,
+                inlier,
+                covariance_px2,
+                elevation: Elevation::FLAT,
+            })
         };
         self.tracks.extend(tiles.iter().zip(&estimate.inliers).map(tile));
     }
@@ -525,8 +543,11 @@ impl Odometry {
         self.number(&mut keyframe, (self.frames, time_s), None);
         self.reference = keyframe.id.map(|keyframe| FrameReference { keyframe, next: None });
         let corners = keyframe.corners.len();
-        self.tracks =
-            keyframe.corners.iter().map(|corner| TrackView::exact(corner.template.centre())).collect();
+        self.tracks = keyframe
+            .corners
+            .iter()
+            .map(|corner| self.resolution.track_view(TrackView::exact(corner.template.centre())))
+            .collect();
         self.keyframe = Some(keyframe);
         self.last = Some(LastPose::still(time_s, pose, covariance));
         FrameEstimate {

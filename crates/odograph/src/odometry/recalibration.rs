@@ -25,7 +25,7 @@ impl Odometry {
     ///
     /// Where the camera has another image size, or the rig is not possible.
     pub fn recalibrate(&mut self, camera: Camera, rig: Option<(&Rig, Matrix2<f64>)>) -> Result<()> {
-        let (known, given) = (&self.camera, &camera);
+        let (known, given) = (self.resolution.full_camera(), &camera);
         if (known.width(), known.height()) != (given.width(), given.height()) {
             return Err(Error::input(format!(
                 "the calibration is for {}x{} pixels but the images have {}x{}",
@@ -35,6 +35,7 @@ impl Odometry {
                 known.height()
             )));
         }
+        let camera = self.resolution.recalibrate(camera);
         let mount = rig.map(|(rig, _)| rig.validated().map(|rig| rig.first_pose())).transpose()?;
         if let Some(mount) = mount {
             self.first_pose = mount;
@@ -72,12 +73,12 @@ impl Odometry {
         camera: &Camera,
         frames: impl IntoIterator<Item = &'a (GrayImage, f64)>,
     ) -> Result<bool> {
-        if self.segment > 0 || self.correction().is_some() {
+        if self.segment > 0 || self.resolution.is_reduced() || self.correction().is_some() {
             return Ok(false);
         }
-        let mut again = Self::starting_at(self.first_pose, camera.clone(), self.config);
-        if let Some(mask) = self.fixed.mask() {
-            again = again.with_fixed(mask);
+        let mut again = Self::starting_at(self.first_pose, camera.clone(), self.resolution.config());
+        if let Some(mask) = self.mask() {
+            again = again.with_fixed(&mask);
         }
         for (image, time_s) in frames {
             let is_first = again.frames == 0;

@@ -7,6 +7,7 @@ use crate::detection::DetectionConfig;
 use crate::fixed_pattern::ImageMask;
 use crate::geometry::GroundPose;
 use crate::motion::ViewingPose;
+use crate::odometry::OdometryConfig;
 use std::collections::VecDeque;
 use std::sync::{Arc, OnceLock};
 
@@ -70,6 +71,16 @@ impl KeyframeMemory {
                 (keyframe.surface, keyframe.undulates) = (None, false);
             }
         }
+    }
+
+    /// Halves the resolution of all records.
+    pub fn halve(&mut self, mask: Option<&Arc<ImageMask>>, config: &OdometryConfig) {
+        self.mask = None;
+        let records = std::mem::take(&mut self.records).into_iter();
+        self.records.extend(records.map(|Remembered { keyframe, reachable }| Remembered {
+            keyframe: keyframe.halved(mask, config).retired(),
+            reachable,
+        }));
     }
 
     /// More is known about what is not ground.

@@ -7,6 +7,7 @@ mod moving_corners;
 mod overlap;
 mod projection;
 
+use super::OdometryConfig;
 use super::moving_ground::MovingGround;
 use super::surface::Surface;
 use super::texture::{self, TextureClass};
@@ -175,6 +176,27 @@ impl Keyframe {
             view: OnceLock::new(),
             texture: OnceLock::new(),
             dense: OnceLock::new(),
+        }
+    }
+
+    /// The same keyframe at half the resolution, of a camera of that resolution. It must be prepared
+    /// again, and elevations are learned anew.
+    pub fn halved(self, mask: Option<&Arc<ImageMask>>, config: &OdometryConfig) -> Self {
+        let pyramid = Pyramid::new(self.pyramid.level(1).clone(), config.flow.levels);
+        let half = Self::to_be_prepared(pyramid, self.pose, self.covariance, mask, &config.detection);
+        Self {
+            id: self.id,
+            model_covariance: self.model_covariance,
+            shutter: RollingShutter { rows: half.shutter.rows, ..self.shutter },
+            rate_variance: self.rate_variance,
+            rates_on_slope: self.rates_on_slope,
+            by_readout: self.by_readout,
+            by_mount_tilt: self.by_mount_tilt,
+            level_m: self.level_m,
+            undulates: self.undulates,
+            surface: self.surface,
+            moving: self.moving,
+            ..half
         }
     }
 

@@ -36,7 +36,9 @@ fn ground_below_a_stronger_pattern_is_followed() {
         assert!(off_mm < 2.0, "frame {number}: {off_mm} mm");
     }
     // With the pattern known, from the first frame on.
-    let mut again = world.odometry().with_correction(live.correction().unwrap().clone());
+    let mut again = world
+        .odometry()
+        .with_earlier_pass(&EarlierPass { correction: live.correction().cloned(), ..EarlierPass::default() });
     let frames = process(&mut again, images.into_iter());
     let off_mm = frames.iter().enumerate().map(|(number, frame)| errors(frame, &pose(number)).0);
     assert!(off_mm.fold(0.0, f64::max) < 2.0);

@@ -118,7 +118,8 @@ impl Tracker<'_> {
         let bend = corner.template.curvature_bias(&found.noise, &warp.linear, &curvature);
         let position = Pixel::new(warp.position.x - bend.x, warp.position.y - bend.y);
         let covariance_px2 = found.covariance_px2;
-        Some(FoundCorner { corner: index, warp: Warp { position, ..warp }, covariance_px2 })
+        let dissimilarity = found.dissimilarity as f32;
+        Some(FoundCorner { corner: index, warp: Warp { position, ..warp }, covariance_px2, dissimilarity })
     }
 
     /// Searches for each corner where it was last seen; its shape is that of the affine comparison
@@ -136,6 +137,7 @@ impl Tracker<'_> {
                 corner: index,
                 warp,
                 covariance_px2,
+                dissimilarity: dissimilarity as f32,
             })
         };
         let found = keyframe.corners.iter().enumerate().filter_map(search).collect();
