@@ -34,7 +34,7 @@ pub fn follow(clip: &Clip, follow: Follow, model: MotionModel) -> Result<Tracked
     calibration.calibrates = follow != Follow::Live && model == MotionModel::Auto;
     calibration.measures_shutter =
         follow != Follow::Live && matches!(model, MotionModel::Auto | MotionModel::Free);
-    calibration.corrects_pattern = follow != Follow::Live;
+    calibration.corrects_images = follow != Follow::Live;
     let mut passes = 0;
     let tracked = calibration.track(|camera| {
         passes += 1;

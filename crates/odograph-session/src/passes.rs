@@ -28,7 +28,7 @@ pub fn calibration_of(plan: &RunPlan) -> MultiPassCalibration {
     let model = plan.odometry.motion.model;
     calibration.calibrates = readable_again && model == MotionModel::Auto;
     calibration.measures_shutter = readable_again && matches!(model, MotionModel::Auto | MotionModel::Free);
-    calibration.corrects_pattern = readable_again;
+    calibration.corrects_images = readable_again;
     calibration
 }
 
@@ -54,7 +54,7 @@ pub fn examine_beginning(
         }
         assume(plan, calibration);
     }
-    calibration.corrects_pattern = false;
+    calibration.corrects_images = false;
     Ok(())
 }
 

@@ -59,6 +59,10 @@ pub struct RunStatistics {
     /// Whether single pixels are white or black at random, which was corrected; left out where not.
     #[serde(skip_serializing_if = "std::ops::Not::not")]
     pub impulse_noise: bool,
+    /// Whether single pixels are mostly noise, so that images of half the resolution were tracked;
+    /// left out where not.
+    #[serde(skip_serializing_if = "std::ops::Not::not")]
+    pub pixel_noise: bool,
     /// Mask of what is static in the image.
     pub fixed_in_image: FixedInImage,
     /// Whether the run was ended early by a signal.

@@ -106,7 +106,7 @@ impl Drive {
         let mut calibration = MultiPassCalibration::new(camera, rig);
         calibration.calibrates = true;
         calibration.measures_shutter = true;
-        calibration.corrects_pattern = true;
+        calibration.corrects_images = true;
         let pass = Pass::new(&calibration)?;
         Ok((Self { calibration, size, pass }, setup))
     }

@@ -53,9 +53,9 @@ pub struct MultiPassCalibration {
     pub calibrates: bool,
     /// Whether a readout time that becomes known, or the motion within the images, ends a pass.
     pub measures_shutter: bool,
-    /// Whether a fixed pattern that is not corrected yet, or a large part of the view that is
-    /// static, ends a pass.
-    pub corrects_pattern: bool,
+    /// Whether a fixed pattern that is not corrected yet, a large part of the view that is static,
+    /// or noise that calls for a coarser resolution ends a pass.
+    pub corrects_images: bool,
     /// Whether the lens is known and not estimated.
     pub lens_is_known: bool,
     given: (Camera, Rig),
@@ -74,7 +74,7 @@ impl MultiPassCalibration {
             images: EarlierPass::default(),
             calibrates: false,
             measures_shutter: false,
-            corrects_pattern: false,
+            corrects_images: false,
             lens_is_known: false,
             found: None,
             is_readout_found: false,
@@ -103,9 +103,9 @@ impl MultiPassCalibration {
         });
         CameraMonitor {
             calibration,
-            pattern: self.corrects_pattern && self.images.correction.is_none(),
-            view: self.corrects_pattern && self.images.correction.is_none() && self.images.fixed.is_none(),
-            halvings: self.corrects_pattern.then_some(self.images.halvings),
+            pattern: self.corrects_images && self.images.correction.is_none(),
+            view: self.corrects_images && self.images.correction.is_none() && self.images.fixed.is_none(),
+            halvings: self.corrects_images.then_some(self.images.halvings),
             readout: self.measures_shutter.then(|| ReadoutEstimation::new(&self.camera)).flatten(),
             motion: (self.measures_shutter && self.images.motion.is_none())
                 .then(|| MotionMeasurement::new(&self.camera, self.readout_deviation_s()))

@@ -115,6 +115,9 @@ const COLUMN_NOISE: &str = "columns of the images are brighter or darker at rand
 const IMPULSE_NOISE: &str = "single pixels of the images are white or black at random, which was corrected; a better \
                              connection, or a cooler sensor, gives better images";
 
+const PIXEL_NOISE: &str = "single pixels of the images are mostly noise, so they were tracked at half the resolution; more \
+                           light, and a camera that sharpens and filters less, give better images";
+
 /// Fails if there are too few frames for a trajectory.
 fn enough(plan: &RunPlan, tracked: &mut Tracked, output: &RunOutput) -> Result<()> {
     if tracked.frames.count() >= output.least_frames || tracked.interrupted {
@@ -197,12 +200,14 @@ impl Finishing<'_> {
             let reads = self.tracked.readout.as_ref().and_then(FoundReadout::sentence);
             self.warn(reads);
         }
-        let ImageDefects { interlaced, row_noise, column_noise, impulse_noise } = self.tracked.defects;
+        let ImageDefects { interlaced, row_noise, column_noise, impulse_noise, pixel_noise } =
+            self.tracked.defects;
         let defects = [
             (interlaced, INTERLACED),
             (row_noise, ROW_NOISE),
             (column_noise, COLUMN_NOISE),
             (impulse_noise, IMPULSE_NOISE),
+            (pixel_noise, PIXEL_NOISE),
         ];
         for (_, warning) in defects.into_iter().filter(|(is_there, _)| *is_there) {
             self.warn(Some(warning.to_owned()));

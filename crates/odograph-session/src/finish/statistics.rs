@@ -60,6 +60,7 @@ pub fn statistics_of(
         row_noise: tracked.defects.row_noise,
         column_noise: tracked.defects.column_noise,
         impulse_noise: tracked.defects.impulse_noise,
+        pixel_noise: tracked.defects.pixel_noise,
         fixed_in_image: tracked.fixed.clone(),
         interrupted: tracked.interrupted,
         warnings: tracked.warnings.clone(),

@@ -17,6 +17,8 @@ pub struct ImageDefects {
     pub column_noise: bool,
     /// Single pixels are white or black at random.
     pub impulse_noise: bool,
+    /// Single pixels are mostly noise; images of half the resolution are tracked.
+    pub pixel_noise: bool,
 }
 
 /// Finds and corrects defects of the images of a recording, in the order of time. What was found

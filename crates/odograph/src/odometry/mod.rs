@@ -331,7 +331,7 @@ impl Odometry {
 
     /// Defects of the images that were found and corrected.
     pub fn image_defects(&self) -> ImageDefects {
-        self.restoration.found()
+        ImageDefects { pixel_noise: self.resolution.is_reduced(), ..self.restoration.found() }
     }
 
     /// How many keyframes were made.

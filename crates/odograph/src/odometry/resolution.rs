@@ -159,11 +159,11 @@ impl WorkingResolution {
     /// decides at once: there may be no more that are measured.
     fn is_too_fine(&self, noise_ratio: f64, is_lost: bool) -> bool {
         let least_frames = if is_lost { 1 } else { LEAST_FRAMES };
-        let half = self.full.halved(self.level + 1);
+        let shorter_side = self.full.width().min(self.full.height());
         self.frames >= least_frames
             && self.dissimilarity > NOISY
             && noise_ratio > NOT_WHITE
-            && half.width().min(half.height()) >= SMALLEST_SIDE
+            && shorter_side >> (self.level + 1) >= SMALLEST_SIDE
     }
 }
 
