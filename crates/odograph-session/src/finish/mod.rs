@@ -115,7 +115,7 @@ const COLUMN_NOISE: &str = "columns of the images are brighter or darker at rand
 const IMPULSE_NOISE: &str = "single pixels of the images are white or black at random, which was corrected; a better \
                              connection, or a cooler sensor, gives better images";
 
-const PIXEL_NOISE: &str = "single pixels of the images are mostly noise, so they were tracked at half the resolution; more \
+const PIXEL_NOISE: &str = "single pixels of the images are mostly noise, so they were tracked at a coarser resolution; more \
                            light, and a camera that sharpens and filters less, give better images";
 
 /// Fails if there are too few frames for a trajectory.
