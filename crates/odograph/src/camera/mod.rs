@@ -186,8 +186,8 @@ impl Camera {
         self.readout_deviation_s
     }
 
-    /// The camera of the images at this level of a Gaussian pyramid: the place (x, y) is at (x, y) /
-    /// 2^`level` there.
+    /// The camera of the images at this level of a Gaussian pyramid: (x, y) of the full image is at
+    /// (x, y) / 2^`level` there.
     pub(crate) fn halved(&self, level: u32) -> Self {
         let scale = 0.5f64.powi(level as i32);
         let side = |side: usize| (0..level).fold(side, |side, _| side.div_ceil(2));

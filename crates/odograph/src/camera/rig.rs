@@ -41,9 +41,9 @@ impl Rig {
     /// Heights above the ground that are accepted, metres: from a microscope to an aeroplane.
     pub const HEIGHTS_M: RangeInclusive<f64> = 1e-6..=1e4;
 
-    /// Cosine of the steepest tilt that is accepted, 75.5°. Beyond it a common lens sees more sky than
-    /// ground, and driving does not correct a wrong tilt: on a rendered drive straight down it did
-    /// from 75°, and from 78° the path had a third of its length.
+    /// Cosine of the steepest tilt that is accepted, 75.5°. Beyond it a common lens sees more sky
+    /// than ground, and driving does not correct a wrong tilt: on a rendered drive straight down it
+    /// did from 75°, and from 78° the path had a third of its length.
     const MIN_TILT_COSINE: f64 = 0.25;
 
     /// Checks the mounting. Fails if a number is not finite, the height is not within

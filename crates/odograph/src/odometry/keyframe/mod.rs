@@ -179,8 +179,8 @@ impl Keyframe {
         }
     }
 
-    /// The same keyframe at half the resolution, of a camera of that resolution. It must be prepared
-    /// again, and elevations are learned anew.
+    /// The same keyframe at half the resolution. It must be prepared again, with a camera of that
+    /// resolution, and elevations are learned anew.
     pub fn halved(self, mask: Option<&Arc<ImageMask>>, config: &OdometryConfig) -> Self {
         let pyramid = Pyramid::new(self.pyramid.level(1).clone(), config.flow.levels);
         let half = Self::to_be_prepared(pyramid, self.pose, self.covariance, mask, &config.detection);
