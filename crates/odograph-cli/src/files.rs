@@ -37,10 +37,14 @@ impl MadeFolders {
         !self.0.is_empty()
     }
 
-    /// The folder that a file is to be written into, made where it is missing. Fails if the file
-    /// cannot be written there.
+    /// The folder that a file is to be written into, made where it is missing.
     pub fn of_file(path: &Path) -> Result<Self> {
-        let made = Self::new(path.parent().unwrap_or(Path::new("")))?;
+        Self::new(path.parent().unwrap_or(Path::new("")))
+    }
+
+    /// The same before minutes of work: fails if the file cannot be written there.
+    pub fn of_result(path: &Path) -> Result<Self> {
+        let made = Self::of_file(path)?;
         check_writable(path)?;
         Ok(made)
     }

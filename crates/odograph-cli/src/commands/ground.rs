@@ -99,7 +99,7 @@ pub fn ground(arguments: GroundArguments) -> Result<Outcome> {
     for path in [&output, &picture_path] {
         files::check_output_file(path, arguments.force)?;
     }
-    let _made = files::MadeFolders::of_file(&output)?;
+    let _made = files::MadeFolders::of_result(&output)?;
     let measured = match &arguments.board {
         Some(board) => board::measure(&arguments, board.parse()?)?,
         None => driving::measure(&arguments)?,

@@ -42,8 +42,8 @@ impl CalibrationOutput {
         files::check_output_file(camera_file, force)?;
         let page = report.join(PAGE);
         files::check_output_file(&page, force)?;
-        let of_camera_file = MadeFolders::of_file(camera_file)?;
-        let made = [MadeFolders::of_file(&page)?, of_camera_file];
+        let of_camera_file = MadeFolders::of_result(camera_file)?;
+        let made = [MadeFolders::of_result(&page)?, of_camera_file];
         Ok(Self { camera_file: camera_file.to_owned(), report, _made: made })
     }
 
