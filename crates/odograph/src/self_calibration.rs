@@ -214,7 +214,9 @@ impl CameraMonitor {
             let is_settled = pattern.is_settled();
             return odometry.found_pattern().filter(|_| is_settled).map(CameraDifference::FixedPattern);
         }
-        if let Some(mask) = odometry.settled_mask().filter(|_| self.view) {
+        if self.view
+            && let Some(mask) = odometry.settled_mask()
+        {
             return Some(CameraDifference::FixedInView(mask));
         }
         self.motion.iter_mut().for_each(|motion| motion.watch(frame, odometry));

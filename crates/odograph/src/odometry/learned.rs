@@ -326,7 +326,7 @@ impl Learned {
 
 /// Growth of the smallest ratio of residual and noise in a frame: noise that changes is learned
 /// within a hundred frames.
-const NOISE_CHANGES: f64 = 1.01;
+pub const NOISE_CHANGES: f64 = 1.01;
 
 /// Residual, pixels, below which the ground as it is known explains the tracks: half of what shows
 /// a kerb (`POOR_PX`).

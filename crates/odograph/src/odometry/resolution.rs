@@ -1,6 +1,7 @@
 //! Working resolution: where the noise of single pixels competes with the texture, a coarser
 //! pyramid level is tracked in place of the image (`docs/math/working-resolution.md`).
 
+use super::learned::NOISE_CHANGES;
 use super::pattern_noise::PatternNoise;
 use super::recovery::Recovery;
 use super::standing::Standing;
@@ -22,15 +23,15 @@ pub struct WorkingResolution {
     halving: Halving,
     /// Memory of the last halved image.
     spare: Option<GrayImage>,
-    /// Mean dissimilarity of the inliers in the last frames, and in how many.
-    dissimilarity: f64,
+    /// Mean dissimilarity of the inliers of the frame where it is least, which grows slowly, and the
+    /// number of frames.
+    dissimilarity: Option<f64>,
     frames: u32,
 }
 
-/// Frames after which the dissimilarity decides, and the weight of the newest one in its mean: a
-/// memory of five frames.
+/// Frames after which the dissimilarity decides. It is that of the frame where it is least: ground
+/// seen from elsewhere, or by a camera whose tilt is not known yet, is dissimilar for a while, too.
 const LEAST_FRAMES: u32 = 5;
-const RATE: f64 = 0.2;
 
 /// Least number of inliers of a frame whose dissimilarity counts.
 const LEAST_INLIERS: usize = 8;
@@ -58,7 +59,7 @@ impl WorkingResolution {
             level: 0,
             halving: Halving::default(),
             spare: None,
-            dissimilarity: 0.0,
+            dissimilarity: None,
             frames: 0,
         }
     }
@@ -153,8 +154,8 @@ impl WorkingResolution {
         }
         let sum: f64 = agree().map(|(found, _)| f64::from(found.dissimilarity)).sum();
         self.frames += 1;
-        let rate = RATE.max(1.0 / f64::from(self.frames));
-        self.dissimilarity += rate * (sum / count as f64 - self.dissimilarity);
+        let now = sum / count as f64;
+        self.dissimilarity = Some(self.dissimilarity.map_or(now, |least| now.min(NOISE_CHANGES * least)));
     }
 
     /// Whether single pixels are mostly noise, and a coarser level is large enough. A lost frame
@@ -163,7 +164,7 @@ impl WorkingResolution {
         let least_frames = if is_lost { 1 } else { LEAST_FRAMES };
         let shorter_side = self.full.width().min(self.full.height());
         self.frames >= least_frames
-            && self.dissimilarity > NOISY
+            && self.dissimilarity.is_some_and(|least| least > NOISY)
             && noise_ratio > NOT_WHITE
             && shorter_side >= LEAST_FULL_SIDE
             && shorter_side >> (self.level + 1) >= LEAST_SIDE
@@ -186,7 +187,7 @@ impl Odometry {
     /// Tracks images of half the resolution from the next one on.
     pub(super) fn halve_resolution(&mut self) {
         self.resolution.level += 1;
-        (self.resolution.frames, self.resolution.spare) = (0, None);
+        (self.resolution.frames, self.resolution.dissimilarity, self.resolution.spare) = (0, None, None);
         let WorkingResolution { full, level, config, .. } = &self.resolution;
         self.camera = full.halved(*level);
         self.config = config.for_camera(&self.camera);
