@@ -59,7 +59,7 @@ pub struct RunStatistics {
     /// Whether single pixels are white or black at random, which was corrected; left out where not.
     #[serde(skip_serializing_if = "std::ops::Not::not")]
     pub impulse_noise: bool,
-    /// Whether single pixels are mostly noise, so that images of half the resolution were tracked;
+    /// Whether single pixels are mostly noise, so that images of a coarser resolution were tracked;
     /// left out where not.
     #[serde(skip_serializing_if = "std::ops::Not::not")]
     pub pixel_noise: bool,

@@ -17,7 +17,7 @@ pub struct ImageDefects {
     pub column_noise: bool,
     /// Single pixels are white or black at random.
     pub impulse_noise: bool,
-    /// Single pixels are mostly noise; images of half the resolution are tracked.
+    /// Single pixels are mostly noise; images of a coarser resolution are tracked.
     pub pixel_noise: bool,
 }
 

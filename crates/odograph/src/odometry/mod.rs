@@ -32,15 +32,15 @@ mod standing;
 mod succession;
 mod surface;
 mod texture;
+mod track_view;
 
 use crate::camera::{Camera, Rig};
 use crate::error::{Error, Result};
 use crate::filter::ConstantAcceleration;
 use crate::fixed_pattern::{FixedPattern, ImageMask, NonuniformityCorrection, SinceLast};
-use crate::geometry::{GroundPoint, GroundPose, Pixel, propagated};
+use crate::geometry::{GroundPoint, GroundPose, propagated};
 use crate::image::{GrayImage, ImageDefects, Pyramid, Restoration};
-use crate::motion::dense::TileTrack;
-use crate::motion::{Elevation, MeasuredMotion, MotionEstimate, MotionModel, PoseRates, Readout};
+use crate::motion::{MeasuredMotion, MotionEstimate, MotionModel, PoseRates, Readout};
 use crate::trajectory::{FrameEstimate, LossReason, PlaneMeasurement, PoseEstimate, TrackStatus};
 use candidate::SegmentCandidate;
 pub use config::{KeyframeConfig, OdometryConfig};
@@ -50,41 +50,14 @@ use keyframe::{Keyframe, KeyframeMemory, KeyframeUpdate};
 pub use keyframe_event::{FrameReference, KeyframeEvent, NewKeyframe};
 use last_pose::LastPose;
 use learned::Learned;
-use nalgebra::{Matrix2, Matrix6, Matrix6x2};
+use nalgebra::{Matrix6, Matrix6x2};
 use pattern_noise::PatternNoise;
 use recovery::Recovery;
 use resolution::WorkingResolution;
 use standing::Standing;
 use std::sync::Arc;
+pub use track_view::TrackView;
 use tracking::Measurement;
-
-/// What one track looked like in the last frame, for pictures and pages.
-#[derive(Debug, Clone, Copy, PartialEq)]
-pub struct TrackView {
-    /// Where it is.
-    pub pixel: Pixel,
-    /// Where its corner is in the keyframe against which the frame was measured.
-    pub corner: Pixel,
-    /// Whether it agrees with the movement.
-    pub inlier: bool,
-    /// Covariance of `pixel` by the noise of the images, pixels².
-    pub covariance_px2: Matrix2<f64>,
-    /// Elevation of the ground there.
-    pub elevation: Elevation,
-}
-
-impl TrackView {
-    /// A corner at `pixel` whose position is exact.
-    pub fn exact(pixel: Pixel) -> Self {
-        Self {
-            pixel,
-            corner: pixel,
-            inlier: true,
-            covariance_px2: Matrix2::zeros(),
-            elevation: Elevation::FLAT,
-        }
-    }
-}
 
 /// The pipeline: gray images in, poses out.
 #[derive(Debug)]
@@ -202,7 +175,8 @@ impl Odometry {
     ///
     /// If the picture has another size.
     pub fn with_mask(mut self, picture: &GrayImage) -> Result<Self> {
-        let size = (self.camera.width(), self.camera.height());
+        let full = self.resolution.full_camera();
+        let size = (full.width(), full.height());
         if (picture.width(), picture.height()) != size {
             return Err(Error::input(format!(
                 "the mask is {}x{} but the camera is calibrated for {}x{}; make it at the size of the frames",
@@ -219,7 +193,8 @@ impl Odometry {
                 100.0 * (1.0 - mask.share()),
             )));
         }
-        self.fixed = FixedPattern::new(size).with_given(mask);
+        let mask = self.resolution.reduced_mask(&mask);
+        self.fixed = FixedPattern::new(mask.size()).with_given(mask);
         Ok(self)
     }
 
@@ -298,11 +273,6 @@ impl Odometry {
         self.choose_resolution();
         self.frames += 1;
         Ok(frame)
-    }
-
-    /// The tracks of the last frame.
-    pub fn tracks(&self) -> &[TrackView] {
-        &self.tracks
     }
 
     /// Elevations of the ground at the keyframe's corners, where it is not flat: places in the
@@ -466,35 +436,6 @@ impl Odometry {
         estimate.pose = GroundPose::from_vector(&(estimate.pose.to_vector() + estimate.by_keyframe * moved));
     }
 
-    /// Keeps the tracks of a measured frame for [`Odometry::tracks`].
-    fn show_tracks(&mut self, found: &[FoundCorner], tiles: &[TileTrack], estimate: &MotionEstimate) {
-        let resolution = &self.resolution;
-        let corners = self.keyframe.as_ref().map_or(&[][..], |keyframe| &keyframe.corners);
-        let view = |(index, (found, &inlier)): (usize, (&FoundCorner, &bool))| {
-            let corner = corners.get(found.corner)?.template.centre();
-            Some(resolution.track_view(TrackView {
-                pixel: found.warp.position,
-                corner,
-                inlier,
-                covariance_px2: found.covariance_px2,
-                elevation: estimate.elevations.get(index).map_or(Elevation::FLAT, |seen| seen.elevation),
-            }))
-        };
-        self.tracks.clear();
-        self.tracks.extend(found.iter().zip(&estimate.inliers).enumerate().filter_map(view));
-        let tile = |(&tile, &inlier): (&TileTrack, &bool)| {
-            let TileTrack { reference: corner, pixel, covariance_px2 } = tile;
-            resolution.track_view(TrackView {
-                pixel,
-                corner,
-                inlier,
-                covariance_px2,
-                elevation: Elevation::FLAT,
-            })
-        };
-        self.tracks.extend(tiles.iter().zip(&estimate.inliers).map(tile));
-    }
-
     /// Learns from a measured frame how height and tilt vary, the level of the ground and how much
     /// is usually found.
     fn learn(
@@ -543,11 +484,7 @@ impl Odometry {
         self.number(&mut keyframe, (self.frames, time_s), None);
         self.reference = keyframe.id.map(|keyframe| FrameReference { keyframe, next: None });
         let corners = keyframe.corners.len();
-        self.tracks = keyframe
-            .corners
-            .iter()
-            .map(|corner| self.resolution.track_view(TrackView::exact(corner.template.centre())))
-            .collect();
+        self.show_corners(&keyframe);
         self.keyframe = Some(keyframe);
         self.last = Some(LastPose::still(time_s, pose, covariance));
         FrameEstimate {

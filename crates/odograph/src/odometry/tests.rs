@@ -1,6 +1,6 @@
 use super::*;
 use crate::camera::Distortion;
-use crate::geometry::wrap_angle;
+use crate::geometry::{Pixel, wrap_angle};
 use crate::motion::Random;
 use crate::simulation::{
     Effects, Ground, Kerb, Path, PathKind, Renderer, Simulation, SimulationConfig, Terrain, Texture,

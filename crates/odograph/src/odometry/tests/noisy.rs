@@ -74,6 +74,9 @@ fn masks_and_keyframes_are_handed_out_at_the_size_of_the_images() {
     let mask = odometry.mask().expect("a mask");
     assert_eq!(mask.size(), (640, 480));
     assert!(mask.covers(300, 450) && !mask.covers(300, 350));
+    // The order of the two does not matter.
+    let other = world.odometry().with_earlier_pass(&halved).with_mask(&shown).unwrap();
+    assert_eq!(other.mask().map(|mask| mask.size()), Some((640, 480)));
     odometry.record_keyframes();
     let pose = at(0.0, 0.0, 0.0);
     odometry.process(world.image(pose, 0), 0.0).unwrap();
