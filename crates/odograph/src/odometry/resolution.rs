@@ -23,8 +23,8 @@ pub struct WorkingResolution {
     halving: Halving,
     /// Memory of the last halved image.
     spare: Option<GrayImage>,
-    /// Mean dissimilarity of the inliers of the frame where it is least, which grows slowly, and the
-    /// number of frames.
+    /// Mean dissimilarity of the inliers of the frame where it is least, which grows slowly, and
+    /// the number of frames.
     dissimilarity: Option<f64>,
     frames: u32,
 }
@@ -39,8 +39,8 @@ const LEAST_INLIERS: usize = 8;
 /// Single pixels are mostly noise if more than a quarter (the square of this) of a patch's contrast
 /// is not the keyframe's, and the residuals are more than this many times those of white noise.
 /// White noise on faint concrete has 0.6 and 1.4 to 1.7, and full resolution is twice as exact
-/// there. Chosen on 26 random drives, seven of which, of at least 640x360 pixels, are halved: one is
-/// lost no more, four gained by factors of 4 to 9, and two changed by at most 8 %.
+/// there. Chosen on 26 random drives, seven of which, of at least 640x360 pixels, are halved: one
+/// is lost no more, four gained by factors of 4 to 9, and two changed by at most 8 %.
 const NOISY: f64 = 0.5;
 const NOT_WHITE: f64 = 2.0;
 
