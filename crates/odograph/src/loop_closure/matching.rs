@@ -17,7 +17,7 @@ use crate::odometry::keyframe::{GRID, Keyframe, image_grid, overlap};
 use crate::odometry::learned::Learned;
 use crate::odometry::tracking::{Measurement, Tracker};
 use crate::place_recognition::{PlacesConfig, Signature};
-use nalgebra::{Matrix4, Matrix6, Vector4};
+use nalgebra::{Matrix3, Matrix4, Matrix6, Vector4};
 use std::sync::Arc;
 
 /// Index of a camera of the map, in the order in which they were added; 0 is that of
@@ -306,7 +306,8 @@ impl Matcher {
         let image = DenseImage::new(reference.pyramid.base()).without(reference.mask.clone());
         let prior = learned.rig_prior.prior(&found.prediction, motion);
         let reference = keyframe.dense(&self.of(query.at.camera).camera);
-        let whole = dense::refine(camera, reference, &image, &corners.pose, &prior, motion)?;
+        let whole =
+            dense::refine(camera, (reference, &Matrix3::zeros()), &image, &corners.pose, &prior, motion)?;
         let off_m = whole.estimate.pose.distance_m(&corners.pose);
         let is_significant = whole.score >= DenseEstimate::LEAST_SCORE
             && whole.agreement >= DenseEstimate::LEAST_AGREEMENT

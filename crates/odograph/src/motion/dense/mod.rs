@@ -25,7 +25,7 @@ use super::{
 };
 use crate::camera::Camera;
 use crate::geometry::{GroundPose, Pixel};
-use nalgebra::{Matrix2, Matrix3};
+use nalgebra::{Matrix2, Matrix3, Vector2};
 use plane::DensePlane;
 use tile::{
     AREA, CONTRAST_NOISE_SAMPLES, GRADIENT_NOISE_SAMPLES, PLANE_NOISE_SAMPLES, SIDE, Tile, TileMatch,
@@ -109,13 +109,14 @@ impl DenseReference {
 const FIRST_OVERLAPPING_LEVEL: usize = 3;
 
 /// Refines the pose of a camera whose image overlaps the reference's from `guess`, with `prior` on
-/// height and tilt. `None` where the registration does not converge.
+/// height and tilt, and the covariance of those of the reference (metres and radians). `None` where
+/// the registration does not converge.
 ///
 /// It converges from an error of the guess of about four pixels on any texture, and of twenty where
 /// there is large structure too.
 pub fn refine(
     camera: &Camera,
-    reference: &DenseReference,
+    (reference, keyframe_covariance): (&DenseReference, &Matrix3<f64>),
     image: &DenseImage,
     guess: &GroundPose,
     prior: &RigPrior,
@@ -126,7 +127,8 @@ pub fn refine(
     for (halvings, tiles) in reference.levels.iter().rev() {
         let Some(plane) = image.planes.get(*halvings) else { continue };
         let keyframe_pose = &reference.pose;
-        let level = DenseLevel { camera, tiles, keyframe_pose, image, plane, prior, config };
+        let level =
+            DenseLevel { camera, tiles, keyframe_pose, keyframe_covariance, image, plane, prior, config };
         let Some(found) = level.converge(&pose) else { continue };
         if *halvings >= FIRST_OVERLAPPING_LEVEL {
             // Too few tiles to be accepted; only the start for the next level.
@@ -173,6 +175,7 @@ struct DenseLevel<'a> {
     camera: &'a Camera,
     tiles: &'a [Tile],
     keyframe_pose: &'a GroundPose,
+    keyframe_covariance: &'a Matrix3<f64>,
     image: &'a DenseImage,
     plane: &'a DensePlane,
     prior: &'a RigPrior,
@@ -237,7 +240,7 @@ impl DenseLevel<'_> {
             // The scatter of tiles that cover the whole image is their own.
             noise_px: f64::INFINITY,
             keyframe_pose: self.keyframe_pose,
-            keyframe_covariance: &Matrix3::zeros(),
+            keyframe_covariance: self.keyframe_covariance,
             shutter: None,
             shape: None,
         };
@@ -264,18 +267,27 @@ impl DenseLevel<'_> {
         if gain < MIN_RELATIVE_GAIN * gain_and_noise.gain {
             return None;
         }
-        let inverse = tile.hessian.try_inverse().filter(|_| tile.hessian.determinant() > 1e-9)?;
+        let gradients = tile.hessian.symmetric_eigen();
+        if gradients.eigenvalues.min() < MIN_GRADIENTS {
+            return None;
+        }
+        // Inverses of the Hessian of the signal alone, and of that as its noise inflates it.
+        let signal = gradients.eigenvalues.map(|squares| gain_and_noise.signal_of(squares));
+        let along = |inverses: Vector2<f64>| {
+            let axes = &gradients.eigenvectors;
+            axes * Matrix2::from_diagonal(&inverses) * axes.transpose()
+        };
+        let inverse = along(signal.map(f64::recip));
+        let spread =
+            along(gradients.eigenvalues.zip_map(&signal, |squares, signal| squares / (signal * signal)));
         let unexplained =
             (found.energy - found.product * found.product / tile.energy.max(1e-9)) / (area * gain * gain);
         let noise = unexplained.max(gain_and_noise.noise);
         let linear = found.warp.warp.linear * self.plane.pixels_per_sample;
-        let step = linear * inverse * found.slope / (gain * gain_and_noise.signal_fraction);
+        let step = linear * inverse * found.slope / gain;
         let position = found.warp.warp.position;
         let curvature_offset = found.warp.curvature_offset;
-        let covariance_px2: Matrix2<f64> = linear
-            * inverse
-            * linear.transpose()
-            * (noise / (gain_and_noise.signal_fraction * gain_and_noise.signal_fraction));
+        let covariance_px2: Matrix2<f64> = linear * spread * linear.transpose() * noise;
         Some(Correspondence {
             ground: tile.patch.ground,
             elevation: Elevation::FLAT,
@@ -313,9 +325,12 @@ struct GainAndNoise {
     gain: f64,
     /// Variance of the noise of a reference sample after smoothing.
     noise: f64,
-    /// Signal fraction of the squared gradients of the reference, without noise: the fraction of a
-    /// displacement that a step recovers.
-    signal_fraction: f64,
+    /// Squared gradients of the noise in a tile, along one axis, and mean of those of the signal.
+    noise_gradients: f64,
+    signal_gradients: f64,
+    /// How much of a tile's deviation from that mean is signal: 0 on ground whose texture is the
+    /// same everywhere, 1 where it is not.
+    own_share: f64,
 }
 
 impl GainAndNoise {
@@ -325,6 +340,7 @@ impl GainAndNoise {
         let sum = |of: fn(&Tile, &TileMatch) -> f64| {
             matches.iter().map(|(tile, found)| of(tile, found)).sum::<f64>()
         };
+        let sum_of = |of: &dyn Fn(&Tile) -> f64| matches.iter().map(|(tile, _)| of(tile)).sum::<f64>();
         let product = sum(|_, found| found.product);
         let energy = sum(|tile, _| tile.energy);
         let image_energy = sum(|_, found| found.energy);
@@ -339,8 +355,27 @@ impl GainAndNoise {
         let gain = 0.5 * (ratio + (ratio * ratio + 4.0 * noise_ratio).sqrt());
         let noise = ((energy - product / gain) / (tiles * CONTRAST_NOISE_SAMPLES)).max(MIN_NOISE);
         // Smoothed samples and gradients have the same noise.
-        let signal_fraction = ((squares - 2.0 * tiles * GRADIENT_NOISE_SAMPLES * noise) / squares).min(1.0);
-        (signal_fraction > MIN_SIGNAL_FRACTION).then_some(Self { gain, noise, signal_fraction })
+        let noise_gradients = GRADIENT_NOISE_SAMPLES * noise;
+        let mean = squares / (2.0 * tiles);
+        let signal_gradients = mean - noise_gradients;
+        if signal_gradients < MIN_SIGNAL_FRACTION * mean {
+            return None;
+        }
+        let spread = sum_of(&|tile| (0.5 * tile.hessian.trace() - mean).powi(2)) / tiles;
+        let by_noise =
+            (noise_gradients.powi(2) + 2.0 * noise_gradients * signal_gradients) / NOISE_DEGREES_OF_FREEDOM;
+        let own_share = (1.0 - by_noise / spread.max(by_noise)).max(0.0);
+        Some(Self { gain, noise, noise_gradients, signal_gradients, own_share })
+    }
+
+    /// The part by signal of the squared gradients of a tile along an axis: what their noise
+    /// leaves, shrunk towards the mean of all tiles (empirical Bayes). A tile without texture has
+    /// only noise there, and a step by its own gradients would confirm whatever pose it was sampled
+    /// at.
+    fn signal_of(&self, squares: f64) -> f64 {
+        let own = squares - self.noise_gradients;
+        let signal = self.signal_gradients + self.own_share * (own - self.signal_gradients);
+        signal.clamp(MIN_SIGNAL_FRACTION * squares, squares)
     }
 }
 
@@ -350,8 +385,16 @@ const MIN_TILES: usize = 12;
 /// Noise floor, gray levels²: the 1/12 of rounding after smoothing.
 const MIN_NOISE: f64 = 0.02;
 
-/// Least signal fraction; below it a coarser level has more information. Not derived; chosen.
+/// Least signal fraction of all tiles, below which a coarser level has more information, and of a
+/// tile along an axis. Not derived; chosen.
 const MIN_SIGNAL_FRACTION: f64 = 0.05;
+
+/// Degrees of freedom of the squared gradients of white noise in a tile along both axes: twice its
+/// 256 samples over 2.1, the sum of their squared correlations, over two for their mean square.
+const NOISE_DEGREES_OF_FREEDOM: f64 = 122.0;
+
+/// Least squared gradients of a tile along an axis, gray levels².
+const MIN_GRADIENTS: f64 = 1e-4;
 
 /// Sum of the tiles' correlations over the root of the sum of their squares: about standard normal
 /// for unrelated images of any texture; the root of the number of tiles where all match.

@@ -127,7 +127,8 @@ impl Tracker<'_> {
     fn measure_whole(&self, prediction: &GroundPose) -> Result<Measurement, LossReason> {
         let Self { keyframe, camera, .. } = *self;
         let image = DenseImage::new(self.pyramid.base()).without(keyframe.mask.clone());
-        let (reference, prior) = (keyframe.dense(camera), self.prior(prediction));
+        let reference = (keyframe.dense(camera), &keyframe.rig_covariance());
+        let prior = self.prior(prediction);
         let found = dense::refine(camera, reference, &image, prediction, &prior, &self.config.motion);
         let found =
             found.filter(|found| found.score >= DenseEstimate::LEAST_SCORE).ok_or(LossReason::Jump)?;
