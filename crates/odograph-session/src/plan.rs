@@ -3,7 +3,7 @@
 use crate::budget::Budget;
 use crate::sensors::SensorFiles;
 use crate::{files, mask};
-use odograph::camera::{Camera, LeverArm, Rig};
+use odograph::camera::{CalibrationDeviations, Camera, LeverArm, Rig};
 use odograph::error::{Error, Result};
 use odograph::formats::rig_file;
 use odograph::loop_closure::LoopClosureConfig;
@@ -29,6 +29,9 @@ pub struct RunPlan {
     pub camera: Camera,
     /// The mount above the ground.
     pub rig: Rig,
+    /// Standard deviations of camera and mount, where their files have them.
+    #[serde(default, skip_serializing_if = "CalibrationDeviations::is_unknown")]
+    pub deviations: CalibrationDeviations,
     /// The frame whose poses are written; by default the robot's if the rig has a lever arm.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub frame: Option<FrameChoice>,
@@ -41,7 +44,7 @@ pub struct RunPlan {
     /// Markers on the ground.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub markers: Option<MarkerPlan>,
-    /// What an earlier pass over the same frames has found in them.
+    /// What an earlier pass over the same frames has found.
     #[serde(skip)]
     pub images: EarlierPass,
     #[serde(default, skip_serializing_if = "SensorFiles::is_empty")]
@@ -199,7 +202,8 @@ impl RunPlan {
     /// # Errors
     /// If a parameter is out of range, or the mask cannot be read or does not fit.
     pub fn odometry(&self) -> Result<Odometry> {
-        let mut odometry = Odometry::new(self.camera.clone(), self.rig, self.odometry)?;
+        let odometry = Odometry::new(self.camera.clone(), self.rig, self.odometry)?;
+        let mut odometry = odometry.with_deviations(&self.deviations);
         if let Some(path) = &self.mask {
             odometry = odometry.with_mask(&mask::read(path)?).map_err(|error| error.at(path.display()))?;
         }

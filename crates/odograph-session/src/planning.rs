@@ -6,10 +6,10 @@ use crate::observer::Observer;
 use crate::plan::{FrameChoice, RunPlan, SourcePlan};
 use crate::rig::{other_size, parse_camera, read_rig, recorded_rig};
 use crate::{budget, files, pixel_shape};
-use odograph::camera::{Camera, LeverArm, Rig};
+use odograph::camera::{CalibrationDeviations, Camera, CameraUncertainty, LeverArm, Rig, RigDeviations};
 use odograph::error::{Error, Result};
 use odograph::formats::decimal::Rounded;
-use odograph::formats::rig_file;
+use odograph::formats::{camera_file, rig_file};
 use odograph::ground_map::MountedCamera;
 use odograph::loop_closure::LoopClosureConfig;
 use odograph::motion::MotionModel;
@@ -38,7 +38,9 @@ impl RunBuilder {
         let given = given.of_size(size)?;
         let rig = early.map_or_else(|| given.rig(self, observer), Ok)?;
         let by_field = matches!(given, GivenCamera::Field(_));
+        let uncertainty = given.uncertainty()?;
         let camera = given.camera(size, rig.height_m)?;
+        let deviations = self.deviations((&camera, uncertainty.as_ref()), &rig)?;
         let camera = match self.readout_s {
             Some(seconds) => camera.with_readout_s(Some(seconds))?,
             None => camera,
@@ -66,6 +68,7 @@ impl RunBuilder {
             source: self.source.clone(),
             camera,
             rig,
+            deviations,
             frame: self.frame.or(rig.lever_arm.map(|_| FrameChoice::BaseLink)),
             antenna: self.antenna(&rig, observer)?,
             images: EarlierPass::default(),
@@ -131,6 +134,22 @@ impl RunBuilder {
         } else {
             other_size(path, size, (camera.width(), camera.height()))
         })
+    }
+
+    /// Standard deviations of camera and mount, from their files.
+    fn deviations(
+        &self,
+        camera: (&Camera, Option<&CameraUncertainty>),
+        rig: &Rig,
+    ) -> Result<CalibrationDeviations> {
+        let mount = match &self.mount {
+            Some(MountChoice::File(path)) => {
+                let measured = rig_file::parse_measured(&files::read_text(path)?);
+                measured.map_err(|error| error.at(path.display()))?.deviations
+            }
+            _ => RigDeviations::default(),
+        };
+        Ok(CalibrationDeviations::new(camera, (rig.height_m, &mount)))
     }
 
     /// The antenna of the satellite receiver: that of the rig file, or else of the static
@@ -294,6 +313,16 @@ impl<'a> GivenCamera<'a> {
                     )
                 })
             }
+        }
+    }
+
+    /// How well its parameters are known, where its file says so.
+    fn uncertainty(&self) -> Result<Option<CameraUncertainty>> {
+        match self {
+            Self::File(path, text) => {
+                camera_file::parse_uncertainty(text).map_err(|error| error.at(path.display()))
+            }
+            Self::Known(_) | Self::Field(_) | Self::Map(_) | Self::Recording(_) => Ok(None),
         }
     }
 

@@ -69,6 +69,25 @@ impl RunReporter for CountingReporter {
 }
 
 #[test]
+fn the_deviation_of_a_measured_height_is_one_of_the_path() {
+    let folder = tempfile::tempdir().unwrap();
+    let given = fs::read_to_string(clip::input("rig.toml")).unwrap();
+    let rig = folder.path().join("rig.toml");
+    let end = |deviation: &str| {
+        fs::write(&rig, format!("{given}\nheight_deviation_m = {deviation}\n")).unwrap();
+        let outcome = clip::run(40).rig_file(&rig).run(&Listening::default())?;
+        Ok::<_, odograph::error::Error>(outcome.trajectory.last().unwrap().place.unwrap())
+    };
+    let (exact, measured) = (end("0").unwrap(), end("0.009").unwrap());
+    assert_eq!((exact.x_m, exact.y_m), (measured.x_m, measured.y_m));
+    let scale = 0.009 / exact.height_m;
+    let added_m2 = measured.position_covariance[0] - exact.position_covariance[0];
+    assert!((added_m2.sqrt() / (scale * exact.x_m.abs()) - 1.0).abs() < 0.01, "{exact:?} {measured:?}");
+    let refused = end("-0.009").unwrap_err().to_string();
+    assert!(refused.contains("rig.toml") && refused.contains("negative"), "{refused}");
+}
+
+#[test]
 fn a_run_returns_what_it_writes_and_reports_progress() {
     let folder = tempfile::tempdir().unwrap();
     let observer = Listening::default();

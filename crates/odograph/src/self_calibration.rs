@@ -47,7 +47,7 @@ pub struct MultiPassCalibration {
     pub camera: Camera,
     /// Its mount above the ground.
     pub rig: Rig,
-    /// What the passes have found in the images.
+    /// What else the passes have found.
     pub images: EarlierPass,
     /// Whether another mount or lens ends a pass.
     pub calibrates: bool,
@@ -137,7 +137,8 @@ impl MultiPassCalibration {
                 self.assume(*found);
             }
             CameraDifference::FixedPattern(found) => {
-                self.images = EarlierPass { motion: self.images.motion.take(), ..found };
+                let EarlierPass { motion, mount_tilt, .. } = std::mem::take(&mut self.images);
+                self.images = EarlierPass { motion, mount_tilt, ..found };
             }
             CameraDifference::FixedInView(mask) => self.images.fixed = Some(mask),
             CameraDifference::Resolution(halvings) => {
@@ -177,6 +178,7 @@ impl MultiPassCalibration {
     fn assume(&mut self, found: CalibrationUpdate) {
         let (camera, rig) = &self.given;
         (self.camera, self.rig) = (found.camera(camera), found.rig(rig));
+        self.images.mount_tilt = found.tilt.as_ref().map(|tilt| tilt.covariance);
         self.found = Some(found).filter(|found| found.pairs > 0);
     }
 }

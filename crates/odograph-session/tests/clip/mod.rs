@@ -3,7 +3,8 @@
 use odograph_session::{RunBuilder, SourcePlan};
 use std::path::{Path, PathBuf};
 
-fn input(name: &str) -> PathBuf {
+/// A file of the demonstration.
+pub fn input(name: &str) -> PathBuf {
     let folder = Path::new(env!("CARGO_MANIFEST_DIR")).join("../odograph-cli/demo");
     folder.canonicalize().expect("the demonstration is in the repository").join(name)
 }

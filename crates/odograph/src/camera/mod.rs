@@ -15,7 +15,7 @@ pub use distortion::Distortion;
 pub use lever_arm::LeverArm;
 pub use posed_camera::{GroundIntersection, PosedCamera, ProjectedPoint};
 pub use rig::Rig;
-pub use uncertainty::{CameraUncertainty, MeasuredRig, RigDeviations};
+pub use uncertainty::{CalibrationDeviations, CameraUncertainty, MeasuredRig, RigDeviations};
 
 use crate::error::{Error, Result};
 use crate::geometry::{Pixel, Ray, length};

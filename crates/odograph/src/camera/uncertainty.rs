@@ -2,7 +2,9 @@
 
 use super::{Camera, Distortion, Rig};
 use crate::error::{Error, Result};
-use nalgebra::{DMatrix, Matrix3, SMatrix, SVector};
+use crate::geometry::Pixel;
+use nalgebra::{DMatrix, Matrix3, SMatrix, SVector, Vector2};
+use serde::{Deserialize, Serialize};
 
 /// A measured rig.
 #[derive(Debug, Clone, Copy, PartialEq)]
@@ -32,6 +34,63 @@ impl RigDeviations {
         let deviation = |i: usize| Some(covariance[(i, i)].sqrt());
         Self { height_m: deviation(0), roll_rad: deviation(1), pitch_rad: deviation(2), yaw_rad }
     }
+}
+
+/// Standard deviations of a calibration as they reach a path: they are the same all the way, so
+/// that no frame shows them.
+#[derive(Debug, Clone, Copy, PartialEq, Default, Serialize, Deserialize)]
+#[serde(default, deny_unknown_fields)]
+pub struct CalibrationDeviations {
+    /// Of the scale, relative: that of height and focal length. 0 if they were given.
+    pub scale: f64,
+    /// Of the roll of the mount, radians; `None` if it is unknown.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub roll_rad: Option<f64>,
+    /// Of the pitch of the mount, radians; `None` if it is unknown.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub pitch_rad: Option<f64>,
+}
+
+impl CalibrationDeviations {
+    /// Of a camera at this height, metres.
+    pub fn new(
+        (camera, uncertainty): (&Camera, Option<&CameraUncertainty>),
+        (height_m, mount): (f64, &RigDeviations),
+    ) -> Self {
+        let of_lens = uncertainty.and_then(|uncertainty| {
+            let variance = uncertainty.propagated(camera, |varied| Some([ground_scale(camera, varied)?]))?;
+            Some(variance[(0, 0)].sqrt())
+        });
+        let of_height = mount.height_m.map(|deviation_m| deviation_m / height_m);
+        Self {
+            scale: of_lens.unwrap_or(0.0).hypot(of_height.unwrap_or(0.0)),
+            roll_rad: mount.roll_rad,
+            pitch_rad: mount.pitch_rad,
+        }
+    }
+
+    /// Whether nothing is known of them.
+    pub fn is_unknown(&self) -> bool {
+        *self == Self::default()
+    }
+}
+
+/// The scale of level ground as another lens sees it, relative to that of `camera`: least squares
+/// over a grid of pixels, whose common shift is no scale.
+fn ground_scale(camera: &Camera, other: &Camera) -> Option<f64> {
+    const PIXELS: usize = 5;
+    let at = |k: usize, size: usize| (k as f64 + 0.5) / PIXELS as f64 * size as f64 - 0.5;
+    let seen = |lens: &Camera| -> Option<Vec<Vector2<f64>>> {
+        let pixels = (0..PIXELS * PIXELS)
+            .map(|k| Pixel::new(at(k % PIXELS, camera.width()), at(k / PIXELS, camera.height())));
+        let points = pixels.map(|pixel| lens.ray_from_pixel(pixel).map(|ray| Vector2::new(ray.x, ray.y)));
+        let points: Vec<_> = points.collect::<Option<_>>()?;
+        let mean = points.iter().sum::<Vector2<f64>>() / points.len() as f64;
+        Some(points.iter().map(|point| point - mean).collect())
+    };
+    let (points, others) = (seen(camera)?, seen(other)?);
+    let product: f64 = points.iter().zip(&others).map(|(point, other)| point.dot(other)).sum();
+    Some(product / points.iter().map(Vector2::norm_squared).sum::<f64>())
 }
 
 /// The covariance of a camera's parameters.
@@ -188,6 +247,17 @@ mod tests {
         let outcome = |camera: &Camera| Some([camera.focal_px().0, 2.0 * camera.principal_px().1]);
         let found = known.propagated(&camera(), outcome).unwrap();
         assert!((found - SMatrix::<f64, 2, 2>::new(4.0, 3.0, 3.0, 4.0)).norm() < 1e-9, "{found}");
+    }
+
+    #[test]
+    fn the_scale_of_a_path_is_as_uncertain_as_height_and_focal_length() {
+        let mount = RigDeviations { height_m: Some(0.003), roll_rad: Some(0.01), ..RigDeviations::default() };
+        let plain = Camera::new((640, 480), (500.0, 500.0), (320.0, 240.0), Distortion::None).unwrap();
+        let lens = uncertainty(&["f", "cx"], &[4.0, 0.0, 0.0, 100.0]);
+        let both = CalibrationDeviations::new((&plain, Some(&lens)), (0.75, &mount));
+        assert!((both.scale - f64::hypot(0.004, 0.004)).abs() < 1e-5, "{both:?}");
+        assert_eq!((both.roll_rad, both.pitch_rad), (Some(0.01), None));
+        assert!(CalibrationDeviations::new((&plain, None), (0.75, &RigDeviations::default())).is_unknown());
     }
 
     #[test]

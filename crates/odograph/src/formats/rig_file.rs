@@ -13,7 +13,7 @@
 //!
 //! Each angle may be in radians instead (`roll_rad`, …), and each of the four lengths a text with
 //! its unit (`height = "75cm"`, `x = "300mm"`). A measured rig also has standard deviations, which
-//! [`parse`] ignores: `height_deviation_m`, `roll_deviation_deg`, `pitch_deviation_deg`,
+//! [`parse_measured`] reads: `height_deviation_m`, `roll_deviation_deg`, `pitch_deviation_deg`,
 //! `yaw_deviation_deg`. Any other key is an error, because a misspelt angle would otherwise be 0.
 
 use super::length;

@@ -14,6 +14,7 @@ mod ground_patch;
 mod ground_shape;
 mod mean;
 mod model_error;
+mod mount_tilt;
 mod normal_equations;
 mod nuisance;
 mod planar_pose;
@@ -286,9 +287,9 @@ pub struct KeyframeError {
 #[derive(Debug, Clone, PartialEq)]
 pub struct RigEvidence {
     /// Maximum of the likelihood.
-    pub value: [f64; 3],
-    /// Variances.
-    pub variance: [f64; 3],
+    pub value: Vector3<f64>,
+    /// Covariance given the keyframe.
+    pub covariance: Matrix3<f64>,
     /// Derivative of the three by those of the keyframe's pose.
     pub by_keyframe: Matrix3<f64>,
 }

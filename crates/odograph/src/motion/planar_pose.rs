@@ -226,13 +226,9 @@ pub fn refine(
     if !explained {
         free_errors.iter_mut().zip(&*residuals).for_each(|(free, residual)| *free = residual.error);
     }
-    let rig_evidence = rig_evidence.map(|(evidence, tracks_alone)| {
+    let rig_evidence = rig_evidence.map(|((value, covariance), tracks_alone)| {
         let by_keyframe = pose_changes(&tracks_alone, &slopes, &unknowns);
-        RigEvidence {
-            value: evidence.map(|(value, _)| value),
-            variance: evidence.map(|(_, variance)| variance),
-            by_keyframe: by_keyframe.fixed_view::<3, 3>(3, 3).into_owned(),
-        }
+        RigEvidence { value, covariance, by_keyframe: by_keyframe.fixed_view::<3, 3>(3, 3).into_owned() }
     });
     let covariance = own + shared_covariance(camera, &pose, &unknowns, shared_px);
     if (0..2).any(|i| covariance[(i, i)].sqrt() > MAX_RELATIVE_SIGMA * pose.height_m) {

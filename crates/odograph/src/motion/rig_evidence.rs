@@ -5,6 +5,7 @@ use super::correlated_noise::shared_rig_variances;
 use super::normal_equations::{Factor, NormalEquations};
 use crate::camera::Camera;
 use crate::geometry::GroundPose;
+use nalgebra::{Matrix3, Vector3};
 
 /// Prior of height, roll and pitch with weights relative to the pixel noise: (σ/σ_i)².
 #[derive(Debug, Clone, Copy)]
@@ -27,7 +28,7 @@ impl WeightedRigPrior {
 }
 
 /// Height, roll and pitch from the tracks alone (the likelihood without the prior), and their
-/// variances. At the minimum the gradients of likelihood and prior cancel, so that one Newton step
+/// covariance. At the minimum the gradients of likelihood and prior cancel, so that one Newton step
 /// against the gradient of the prior leads to the maximum of the likelihood.
 pub fn evidence(
     camera: &Camera,
@@ -36,24 +37,22 @@ pub fn evidence(
     rig_prior: &WeightedRigPrior,
     scale_px: f64,
     shared_px: f64,
-) -> [(f64, f64); 3] {
-    let current = [pose.height_m, pose.roll_rad, pose.pitch_rad];
-    let gradient = [0, 1, 2].map(|i| rig_prior.weight[i] * (current[i] - rig_prior.mean[i]));
-    let shared = shared_rig_variances(camera, pose, shared_px);
-    [0, 1, 2].map(|i| {
-        let covariance = tracks_alone.column(3 + i);
-        let step: f64 = (0..3).map(|k| covariance[3 + k] * gradient[k]).sum();
-        (current[i] + step, covariance[3 + i] * scale_px * scale_px + shared[i])
-    })
+) -> (Vector3<f64>, Matrix3<f64>) {
+    let current = Vector3::new(pose.height_m, pose.roll_rad, pose.pitch_rad);
+    let gradient = Vector3::from(rig_prior.weight).component_mul(&(current - Vector3::from(rig_prior.mean)));
+    let columns = [0, 1, 2].map(|i| tracks_alone.column(3 + i));
+    let inverse = Matrix3::from_fn(|k, i| columns[i][3 + k]);
+    let shared = Vector3::from(shared_rig_variances(camera, pose, shared_px));
+    (current + inverse * gradient, inverse * scale_px * scale_px + Matrix3::from_diagonal(&shared))
 }
 
 /// Widens the prior where the tracks alone lie more than four standard deviations from it, as at a
 /// kerb or a push. Returns whether it did.
-pub fn widen(prior: &mut RigPrior, evidence: &[(f64, f64); 3]) -> bool {
+pub fn widen(prior: &mut RigPrior, (value, covariance): &(Vector3<f64>, Matrix3<f64>)) -> bool {
     let mut widened = false;
-    for (i, (value, variance)) in evidence.iter().enumerate() {
-        let deviation = (value - prior.mean[i]).abs();
-        if deviation > 4.0 * (variance + prior.sigma[i] * prior.sigma[i]).sqrt() {
+    for i in 0..3 {
+        let deviation = (value[i] - prior.mean[i]).abs();
+        if deviation > 4.0 * (covariance[(i, i)] + prior.sigma[i] * prior.sigma[i]).sqrt() {
             prior.sigma[i] = deviation;
             widened = true;
         }

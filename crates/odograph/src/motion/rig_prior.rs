@@ -2,9 +2,10 @@
 //! `docs/math/frame-pose.md`.
 
 use super::correlated_noise::ResidualCorrelation;
+use super::mount_tilt::{MountTilt, SharedTilt};
 use super::{MotionConfig, MotionEstimate, MotionModel};
 use crate::geometry::GroundPose;
-use nalgebra::{Matrix2, Matrix6, Vector2};
+use nalgebra::{Matrix2, Matrix6, Vector2, Vector3};
 
 /// A Gaussian over height (metres), roll and pitch (radians).
 #[derive(Debug, Clone, Copy, PartialEq)]
@@ -193,7 +194,7 @@ const SIGNIFICANT_PER_SHARED: f64 = 10.0;
 pub struct RigPriorEstimator {
     nominal: [f64; 3],
     deviations: [Deviation; 3],
-    mount_tilt: [MountTilt; 2],
+    mount_tilt: MountTilt,
     variations: [Variation; 3],
     /// Elevation above which the mount has its height, of this frame and of the keyframe, metres.
     ground_level_m: f64,
@@ -202,63 +203,6 @@ pub struct RigPriorEstimator {
     unevenness_m2: f64,
     residual_correlation: ResidualCorrelation,
 }
-
-/// Error of roll or pitch of the rig file: a normal distribution, radians.
-#[derive(Debug, Clone, Copy)]
-struct MountTilt {
-    mean: f64,
-    variance: f64,
-    keyframes: usize,
-    /// Estimate of the last frame, and its variance.
-    latest: Option<(f64, f64)>,
-}
-
-impl MountTilt {
-    const UNKNOWN: Self =
-        Self { mean: 0.0, variance: PRIOR_TILT_SIGMA * PRIOR_TILT_SIGMA, keyframes: 0, latest: None };
-
-    /// Kalman update with the last frame of a keyframe; the rig's short-term variance is
-    /// measurement noise.
-    fn learn(&mut self, short_term_variance: f64) {
-        let Some((value, variance)) = self.latest.take() else { return };
-        let gain = self.variance / (self.variance + variance + short_term_variance);
-        self.mean += gain * (value - self.mean);
-        self.variance *= 1.0 - gain;
-        self.keyframes += 1;
-    }
-
-    /// Mean squared error of the applied tilt correction.
-    fn squared_error(&self, short_term_variance: f64) -> f64 {
-        (self.mean - self.correction(short_term_variance)).powi(2) + self.variance
-    }
-
-    /// The correction that is applied: zero unless the mean is significant and the short-term
-    /// variation is small beside it.
-    fn correction(&self, short_term_variance: f64) -> f64 {
-        let is_significant =
-            self.keyframes >= MIN_KEYFRAMES && self.mean * self.mean > SIGNIFICANT_TILT * self.variance;
-        if is_significant
-            && short_term_variance < MAX_RELATIVE_VARIATION * MAX_RELATIVE_VARIATION * self.mean * self.mean
-        {
-            self.mean
-        } else {
-            0.0
-        }
-    }
-}
-
-/// Prior standard deviation of an unknown mount tilt, radians: larger ones are visible when the
-/// camera is mounted. Not derived; chosen.
-const PRIOR_TILT_SIGMA: f64 = 0.05;
-
-/// Squared standard deviations at which the mean is significant (five sigma), and minimum number of
-/// keyframes: over a single one a slow variation looks like a constant tilt. Not derived; chosen.
-const SIGNIFICANT_TILT: f64 = 25.0;
-const MIN_KEYFRAMES: usize = 3;
-
-/// Largest ratio of the short-term standard deviation to the tilt itself for a tilt of the mount
-/// rather than of a hand or a spring. Not derived; chosen.
-const MAX_RELATIVE_VARIATION: f64 = 1.0 / 3.0;
 
 /// Weight of the newest frame in exponential averages: a memory of about 20 frames. Not derived;
 /// chosen.
@@ -275,7 +219,7 @@ impl RigPriorEstimator {
         Self {
             nominal: [mount.height_m, mount.roll_rad, mount.pitch_rad],
             deviations: Default::default(),
-            mount_tilt: [MountTilt::UNKNOWN; 2],
+            mount_tilt: MountTilt::unknown(),
             variations: Default::default(),
             ground_level_m: 0.0,
             keyframe_ground_level_m: 0.0,
@@ -345,32 +289,31 @@ impl RigPriorEstimator {
 
     /// Mean squared errors of the roll and pitch that are taken for the mount's, radians².
     pub fn mount_tilt_errors(&self) -> Matrix2<f64> {
-        let [_, roll_variance, pitch_variance] = self.short_term_variance();
-        let [roll, pitch] = &self.mount_tilt;
-        let errors = Vector2::new(roll.squared_error(roll_variance), pitch.squared_error(pitch_variance));
-        Matrix2::from_diagonal(&errors)
+        let [_, of_roll, of_pitch] = self.short_term_variance();
+        self.mount_tilt.squared_errors([of_roll, of_pitch])
     }
 
     /// Covariance of the mount's roll and pitch before any keyframe, radians².
     pub fn unknown_mount_tilt() -> Matrix2<f64> {
-        Matrix2::from_diagonal_element(PRIOR_TILT_SIGMA * PRIOR_TILT_SIGMA)
+        MountTilt::unknown_covariance()
+    }
+
+    /// Sets the standard deviations of the mount's roll and pitch, radians, where they are known.
+    pub fn set_mount_tilt_deviations(&mut self, deviations: [Option<f64>; 2]) {
+        self.mount_tilt.set_deviations(deviations);
     }
 
     /// Sets the covariance of the mount's roll and pitch, radians², where they were measured.
     pub fn set_mount_tilt_covariance(&mut self, covariance: &Matrix2<f64>) {
-        (0..2).for_each(|i| self.mount_tilt[i].variance = covariance[(i, i)]);
+        self.mount_tilt.set_covariance(*covariance);
     }
 
     /// Height, roll and pitch of the mount: the rig file's, corrected.
     pub fn mount(&self) -> [f64; 3] {
-        let ([height_m, roll_rad, pitch_rad], [_, roll_variance, pitch_variance]) =
+        let ([height_m, roll_rad, pitch_rad], [_, of_roll, of_pitch]) =
             (self.nominal, self.short_term_variance());
-        let [roll, pitch] = &self.mount_tilt;
-        [
-            height_m + self.ground_level_m,
-            roll_rad + roll.correction(roll_variance),
-            pitch_rad + pitch.correction(pitch_variance),
-        ]
+        let [roll_correction, pitch_correction] = self.mount_tilt.correction([of_roll, of_pitch]);
+        [height_m + self.ground_level_m, roll_rad + roll_correction, pitch_rad + pitch_correction]
     }
 
     /// Sets the elevation, metres, above which the mount has its height, and its variance.
@@ -400,27 +343,26 @@ impl RigPriorEstimator {
         let ground_rise_m = self.ground_level_m - self.keyframe_ground_level_m;
         let expected = [keyframe.height_m + ground_rise_m, keyframe.roll_rad, keyframe.pitch_rad];
         let mount = self.mount();
-        for (i, &value) in evidence.value.iter().enumerate() {
+        for (i, value) in evidence.value.iter().copied().enumerate() {
             let keyframe_variance = keyframe_covariance[(3 + i, 3 + i)];
             let now = Deviation {
                 from_mount: (value - mount[i]).powi(2),
                 from_keyframe: (value - expected[i]).powi(2),
-                noise: evidence.variance[i],
+                noise: evidence.covariance[(i, i)],
                 keyframe_variance,
             };
             self.deviations[i].learn(&now);
-            if let Some(mount_tilt) = i.checked_sub(1) {
-                self.mount_tilt[mount_tilt].latest =
-                    Some((value - self.nominal[i], evidence.variance[i] + keyframe_variance));
-            }
         }
+        let mut variances = Vector3::from(self.short_term_variance());
+        variances[0] += self.unevenness_m2;
+        let nominal = Vector2::new(self.nominal[1], self.nominal[2]);
+        let shared = SharedTilt::new(evidence, keyframe, ground_rise_m, &nominal, &variances);
+        self.mount_tilt.saw(shared);
     }
 
     /// A new keyframe begins.
     pub fn change_keyframe(&mut self) {
-        let [_, roll_variance, pitch_variance] = self.short_term_variance();
-        self.mount_tilt[0].learn(roll_variance);
-        self.mount_tilt[1].learn(pitch_variance);
+        self.mount_tilt.change_keyframe();
         self.keyframe_ground_level_m = self.ground_level_m;
     }
 }

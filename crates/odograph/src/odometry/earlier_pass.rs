@@ -1,12 +1,13 @@
-//! What an earlier pass over the same images has found in them.
+//! What an earlier pass over the same images has found.
 
 use super::Odometry;
 use super::pattern_noise::PatternNoise;
 use crate::fixed_pattern::{ImageMask, NonuniformityCorrection};
 use crate::motion::MeasuredMotion;
+use nalgebra::Matrix2;
 use std::sync::Arc;
 
-/// What an earlier pass over the same images has found in them.
+/// What an earlier pass over the same images has found.
 #[derive(Debug, Clone, PartialEq, Default)]
 pub struct EarlierPass {
     /// How often the images are halved before they are tracked, because single pixels are mostly
@@ -18,6 +19,8 @@ pub struct EarlierPass {
     pub fixed: Option<Arc<ImageMask>>,
     /// The motion within the images of a rolling shutter.
     pub motion: Option<Arc<MeasuredMotion>>,
+    /// Covariance of the mount's roll and pitch, radians², where they were estimated.
+    pub mount_tilt: Option<Matrix2<f64>>,
 }
 
 impl Odometry {
@@ -35,6 +38,9 @@ impl Odometry {
         }
         if let Some(motion) = &found.motion {
             self.motion = Arc::clone(motion);
+        }
+        if let Some(covariance) = &found.mount_tilt {
+            self.learned.rig_prior.set_mount_tilt_covariance(covariance);
         }
         match &found.fixed {
             Some(fixed) => self.with_fixed(fixed),

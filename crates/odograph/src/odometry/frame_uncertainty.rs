@@ -95,6 +95,7 @@ impl Odometry {
             + self.learned.readout_covariance(&uncertainty.by_readout)
             + self.learned.mount_covariance(&uncertainty.by_mount_tilt)
             + self.learned.level_covariance(pose)
+            + self.scale_covariance(pose)
     }
 
     /// How the pose of a frame that was measured against a keyframe changes with roll and pitch of

@@ -35,8 +35,8 @@ pub struct NewKeyframe {
     pub pose: GroundPose,
     /// Covariance of the pose against the start of the run, (x, y, heading, height, roll, pitch).
     pub covariance: Matrix6<f64>,
-    /// Its part by systematic errors: those of the readout time and the mount, which are the same
-    /// all along the path, so that loops agree with a path that has them.
+    /// Its part by systematic errors: those of the readout time, the mount and the scale, which are
+    /// the same all along the path, so that loops agree with a path that has them.
     pub systematic: Matrix6<f64>,
     /// Pose relative to the keyframe it was measured against or, after a gap, to the last one;
     /// `None` for the first.
@@ -97,6 +97,7 @@ impl Odometry {
         let id = KeyframeId(self.keyframes);
         self.keyframes += 1;
         keyframe.id = Some(id);
+        let scale = self.scale_covariance(&keyframe.pose);
         let Some(events) = &mut self.events else { return };
         let tie = before.map(|before| MapEdge {
             from: before.id,
@@ -106,7 +107,8 @@ impl Odometry {
             covariance: motion_covariance(&before.pose, &before.frame, &before.covariance),
         });
         let systematic = self.learned.readout_covariance(&keyframe.by_readout)
-            + self.learned.mount_covariance(&keyframe.by_mount_tilt);
+            + self.learned.mount_covariance(&keyframe.by_mount_tilt)
+            + scale;
         events.push(KeyframeEvent::Made(Box::new(NewKeyframe {
             id,
             frame,

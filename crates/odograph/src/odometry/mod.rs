@@ -67,6 +67,8 @@ pub struct Odometry {
     config: OdometryConfig,
     resolution: WorkingResolution,
     first_pose: GroundPose,
+    /// Standard deviation of the scale of the path that the calibration leaves, relative.
+    scale_deviation: f64,
     keyframe: Option<Keyframe>,
     memory: KeyframeMemory,
     last: Option<LastPose>,
@@ -137,6 +139,7 @@ impl Odometry {
             resolution: WorkingResolution::full(&camera, config),
             config: config.for_camera(&camera),
             first_pose,
+            scale_deviation: 0.0,
             learned: Learned::with_rolling_shutter(&first_pose, &camera, config.motion.model),
             camera,
             keyframe: None,

@@ -4,15 +4,32 @@
 use super::Odometry;
 use super::learned::Learned;
 use super::recovery::Recovery;
-use crate::camera::{Camera, Rig};
+use crate::camera::{CalibrationDeviations, Camera, Rig};
 use crate::error::{Error, Result};
 use crate::fixed_pattern::FixedPattern;
+use crate::geometry::GroundPose;
 use crate::geometry::pose_index::ROLL;
 use crate::image::GrayImage;
 use crate::motion::PoseRates;
-use nalgebra::{Matrix2, Matrix6x2, Vector2};
+use nalgebra::{Matrix2, Matrix6, Matrix6x2, Vector2, Vector6};
 
 impl Odometry {
+    /// The calibration has these deviations, which the covariance of every pose includes.
+    pub fn with_deviations(mut self, deviations: &CalibrationDeviations) -> Self {
+        let CalibrationDeviations { scale, roll_rad, pitch_rad } = *deviations;
+        self.scale_deviation = scale;
+        self.learned.rig_prior.set_mount_tilt_deviations([roll_rad, pitch_rad]);
+        self
+    }
+
+    /// Covariance of a pose from the deviation of the scale: all of the path since its start, and
+    /// the height, is too long or too short in the same proportion.
+    pub(super) fn scale_covariance(&self, pose: &GroundPose) -> Matrix6<f64> {
+        let start = &self.first_pose;
+        let by_scale = Vector6::new(pose.x_m - start.x_m, pose.y_m - start.y_m, 0.0, pose.height_m, 0.0, 0.0);
+        by_scale * by_scale.transpose() * self.scale_deviation.powi(2)
+    }
+
     /// Continues with a better calibration of the same camera. Earlier poses stay; the corners of
     /// the present keyframe are projected onto the ground again.
     ///
@@ -90,6 +107,7 @@ impl Odometry {
         // Later keyframes than the first stay in the map, and have had their numbers.
         (again.frames, again.keyframes) = (self.frames, self.keyframes);
         again.first_time_s = self.first_time_s;
+        again.scale_deviation = self.scale_deviation;
         again.fixed = std::mem::replace(&mut self.fixed, FixedPattern::new((0, 0)));
         again.events = self.events.take();
         *self = again;
