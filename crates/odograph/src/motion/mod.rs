@@ -202,17 +202,23 @@ pub fn whitened(correspondences: &[Correspondence], shared_px2: f64) -> Option<(
     let mut variances: Buffer<f64> =
         correspondences.iter().map(|seen| 0.5 * covariance(seen).trace()).collect();
     let median_px2 = median(&mut variances)?;
+    Some((observations(correspondences, shared_px2, median_px2), median_px2.sqrt()))
+}
+
+/// Observations whitened relative to one with the variance `unit_px2` in each coordinate.
+fn observations(correspondences: &[Correspondence], shared_px2: f64, unit_px2: f64) -> Buffer<Observation> {
+    let covariance = |seen: &Correspondence| seen.covariance_px2 + shared_px2 * Matrix2::identity();
     let observation = |seen: &Correspondence| Observation {
         ground: seen.ground,
         elevation: seen.elevation,
         pixel: seen.pixel,
-        whitening: whitening(&covariance(seen), median_px2),
+        whitening: whitening(&covariance(seen), unit_px2),
         row_fraction: seen.row_fraction,
         keyframe_row_fraction: seen.keyframe_row_fraction,
         centre_of_projection: seen.centre_of_projection,
         corrected_at_m: seen.elevation.mean_m,
     };
-    Some((correspondences.iter().map(observation).collect(), median_px2.sqrt()))
+    correspondences.iter().map(observation).collect()
 }
 
 /// Whitening matrix of a pixel with this covariance, relative to one with the variance `unit_px2`

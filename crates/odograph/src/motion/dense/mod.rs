@@ -21,7 +21,7 @@ pub use plane::DenseImage;
 use super::GroundFromRay;
 use super::{
     Correspondence, Elevation, MotionConfig, MotionEstimate, Observations, RigPrior, ViewingPose,
-    planar_pose, whitened,
+    observations, planar_pose,
 };
 use crate::camera::Camera;
 use crate::geometry::{GroundPose, Pixel};
@@ -52,7 +52,7 @@ pub struct DenseEstimate {
     pub score: f64,
     /// Fraction of the reference's tiles that lie in the image.
     pub overlap: f64,
-    /// Inlier ratio of the tiles in the image.
+    /// Inlier ratio of the tiles in the image, by information.
     pub agreement: f64,
 }
 
@@ -231,8 +231,12 @@ impl DenseLevel<'_> {
         };
         let (correspondences, tracks): (Vec<Correspondence>, Vec<TileTrack>) =
             matches.iter().filter_map(found).unzip();
-        let (observations, median_px) = whitened(&correspondences, SHARED_PX2)?;
-        let cutoff_px = (CUTOFF_SIGMAS * median_px).max(self.plane.pixels_per_sample);
+        let informations: Vec<f64> = correspondences.iter().map(information).collect();
+        let all_information: f64 = informations.iter().sum();
+        // The unit is what a tile shows on average, not the median: most tiles may show nothing.
+        let unit_px2 = correspondences.len() as f64 / all_information;
+        let observations = observations(&correspondences, SHARED_PX2, unit_px2);
+        let cutoff_px = (CUTOFF_SIGMAS * unit_px2.sqrt()).max(self.plane.pixels_per_sample);
         let config = MotionConfig { inlier_px: cutoff_px, ..*self.config };
         let agreeing = vec![true; observations.len()];
         let observations = Observations {
@@ -246,7 +250,8 @@ impl DenseLevel<'_> {
         };
         let estimate =
             planar_pose::refine(self.camera, observations, pose, &agreeing, pose, self.prior, &config)?;
-        let agreement = estimate.inlier_count() as f64 / matches.len() as f64;
+        let agreeing = informations.iter().zip(&*estimate.inliers).filter(|(_, agrees)| **agrees);
+        let agreement = agreeing.map(|(information, _)| information).sum::<f64>() / all_information;
         let overlap = matches.len() as f64 / self.tiles.len() as f64;
         Some(DenseEstimate { estimate, tracks, score: score(&matches), overlap, agreement })
     }
@@ -303,10 +308,16 @@ impl DenseLevel<'_> {
     }
 }
 
+/// Information of a tile, per pixel² of one coordinate.
+fn information(seen: &Correspondence) -> f64 {
+    let covariance = seen.covariance_px2 + SHARED_PX2 * Matrix2::identity();
+    0.5 * covariance.try_inverse().map_or(0.0, |information| information.trace())
+}
+
 /// Longest step, samples: beyond it the linearisation is invalid. Not derived; chosen.
 const MAX_STEP_SAMPLES: f64 = 6.0;
 
-/// Inlier distance in standard deviations of the median tile. Not derived; chosen.
+/// Inlier distance in standard deviations of an average tile. Not derived; chosen.
 const CUTOFF_SIGMAS: f64 = 6.0;
 
 /// Variance floor of a tile, pixels²: (0.005 px)². See `docs/math/correlated-noise.md`.
