@@ -8,10 +8,10 @@ as they are written, those of each document in a fresh folder that has what a re
 a rendered drive, a board held to the camera, a board on the floor. The camera on the network is
 this script; commands for a camera at this machine, and those of cargo, are named and not run.
 
-Every page, whether a file or served (live, view, the guide of a calibration), is opened in headless
-Chromium at three widths and in both colour schemes. A page fails by an error on its console, a
-request that was not answered, horizontal scrolling, an image without an alternative text, or text
-with a contrast below WCAG 2.1, level AA. Screenshots go to FOLDER.
+Every page, whether a file or served (live, view, the guide of a calibration, a site), is opened in
+headless Chromium at three widths and in both colour schemes. A page fails by an error on its
+console, a request that was not answered, horizontal scrolling, an image without an alternative
+text, or text with a contrast below WCAG 2.1, level AA. Screenshots go to FOLDER.
 
 Exits with 1 if a command or a page failed, and lists what. Needs the standard library of Python,
 Chromium and the program.
@@ -396,9 +396,10 @@ class Hour:
         if reason:
             return
         played = command.replace("cargo run --release -- ", "odograph ").replace(NETWORK_CAMERA, camera.url)
-        is_server = "--serve" in played or played.startswith("odograph view")
+        is_site = played.startswith("odograph site serve")
+        is_server = is_site or "--serve" in played or played.startswith("odograph view")
         if is_server:
-            played = played.replace("--serve", "") + " --serve 127.0.0.1:0"
+            played = played.replace("--serve", "") + f" {'--listen' if is_site else '--serve'} 127.0.0.1:0"
         # The camera file that a reader of the README has is written again by it.
         for written in re.findall(r"-o (\S+\.(?:yaml|toml))", played):
             (folder / written).unlink(missing_ok=True)
@@ -463,8 +464,15 @@ def main():
         for document in documents:
             hour.play(document, commands_in(document.read_text()), rendered, camera)
         calibrating = NetworkCamera(rendered / "board/board.avi", 30)
-        guide = f"odograph calibrate --live {calibrating.url} --serve --board {BOARD} -o guided.yaml"
-        hour.play(Path("guide"), [guide], rendered, camera)
+        # Pages that these documents do not lead to.
+        others = (
+            f"odograph calibrate --live {calibrating.url} --serve --board {BOARD} -o guided.yaml",
+            "odograph run drive.mp4 yard.mp4 --camera camera.yaml --height 0.75 -o both/",
+            "odograph view both/drive/map.gpkg",
+            "odograph localize photo.jpg --map both/drive/map.gpkg -o where/",
+            "odograph site serve hall/",
+        )
+        hour.play(Path("others"), others, rendered, camera)
     hour.browser.close()
     print(f"{hour.pages} pages; {len(hour.failures)} failures", *hour.failures, sep="\n")
     return 1 if hour.failures else 0

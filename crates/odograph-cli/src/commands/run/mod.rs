@@ -345,7 +345,11 @@ pub fn run(arguments: RunArguments) -> Result<Outcome> {
     }
     if let Some(recordings) = recordings {
         print_folder();
-        return many::run(&recordings, &arguments, &folder);
+        let outcome = many::run(&recordings, &arguments, &folder);
+        if arguments.open && outcome.is_ok() {
+            OpeningBrowser::at(folder.join("results.html")).wait();
+        }
+        return outcome;
     }
     let builder = arguments.builder(arguments.source(), &folder)?;
     arguments.mounted.setup.question(quiet);
