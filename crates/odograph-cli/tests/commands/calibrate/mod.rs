@@ -347,6 +347,22 @@ fn a_full_disk_leaves_nothing_half_written() {
 
 #[test]
 #[cfg(unix)]
+fn a_disk_without_space_is_reported_before_calibrating() {
+    let place = CalibrationFolder::new();
+    folder(&place.path("shots"), &pictures(&scene(), 3));
+    // Each file that is written may have 64 blocks of 512 or 1024 bytes.
+    let limited = format!("ulimit -f 64; exec \"$0\" calibrate shots --board {BOARD} -o camera.yaml");
+    let mut command = Command::new("sh");
+    command.args(["-c", &limited, env!("CARGO_BIN_EXE_odograph")]).current_dir(place.temporary.path());
+    let done = command.output().unwrap();
+    let told = String::from_utf8(done.stderr).unwrap();
+    // Of three alike pictures it would say that they are too few.
+    assert!(done.status.code() == Some(3) && told.contains("camera.yaml cannot be written"), "{told}");
+    assert_eq!(names(place.temporary.path()), ["shots"]);
+}
+
+#[test]
+#[cfg(unix)]
 fn an_interrupt_calibrates_with_the_views_so_far() {
     for threads in ["1", "3"] {
         let place = CalibrationFolder::new();
