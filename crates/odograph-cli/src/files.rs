@@ -45,7 +45,7 @@ impl MadeFolders {
         Self::new(path.parent().unwrap_or(Path::new("")))
     }
 
-    /// The same before minutes of work: fails if the file cannot be written there, or if the disk is
+    /// The same before minutes of work: fails if the file cannot be written there, or the disk is
     /// full.
     pub fn of_result(path: &Path) -> Result<Self> {
         let made = Self::of_file(path)?;
