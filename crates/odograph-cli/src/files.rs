@@ -20,6 +20,9 @@ impl Drop for MadeFolders {
     }
 }
 
+/// Space that the results of a calibration need, bytes.
+const SPACE: usize = 1 << 20;
+
 impl MadeFolders {
     /// Makes a folder with those that it is in, as far as they are missing.
     pub fn new(folder: &Path) -> Result<Self> {
@@ -42,10 +45,11 @@ impl MadeFolders {
         Self::new(path.parent().unwrap_or(Path::new("")))
     }
 
-    /// The same before minutes of work: fails if the file cannot be written there.
+    /// The same before minutes of work: fails if the file cannot be written there, or the disk is
+    /// full.
     pub fn of_result(path: &Path) -> Result<Self> {
         let made = Self::of_file(path)?;
-        check_writable(path)?;
+        check_writable(path, SPACE)?;
         Ok(made)
     }
 }

@@ -1,6 +1,7 @@
 //! The program `odograph`: one video camera in, a metric trajectory and map out.
 
 mod address;
+mod browser;
 mod commands;
 mod console;
 mod files;

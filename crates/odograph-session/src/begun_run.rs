@@ -50,8 +50,7 @@ pub(crate) fn begin(
     output: &RunOutput,
     origin: Option<&SessionOrigin>,
 ) -> Result<()> {
-    let source = Path::new(&plan.source.path);
-    if output.folder.is_none() || output.map.is_read_only() || !(source.is_file() || source.is_dir()) {
+    if output.folder.is_none() || output.map.is_read_only() || !plan.source.is_readable_again() {
         return Ok(());
     }
     let absolute = |path: &Path| std::path::absolute(path).unwrap_or_else(|_| path.to_owned());

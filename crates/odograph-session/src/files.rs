@@ -47,15 +47,20 @@ pub(crate) fn check_output(path: &Path, force: bool) -> Result<()> {
             path.display(),
             folder.display()
         ))),
-        None => check_writable(path),
+        None => check_writable(path, 0),
     }
 }
 
-/// Whether a file can be made beside `path`, to fail before minutes of work and not after.
-pub fn check_writable(path: &Path) -> Result<()> {
+/// Whether a file of this size, bytes, can be made beside `path`, to fail before minutes of work
+/// and not after.
+pub fn check_writable(path: &Path, size: usize) -> Result<()> {
     let beside = beside(path);
     match fs::OpenOptions::new().write(true).create_new(true).open(&beside) {
-        Ok(_) => fs::remove_file(&beside).map_err(|error| cannot_be_written(path, error)),
+        Ok(mut file) => {
+            let written = file.write_all(&vec![0; size]).and_then(|()| file.sync_data());
+            let removed = fs::remove_file(&beside);
+            written.and(removed).map_err(|error| cannot_be_written(path, error))
+        }
         // What a killed run has left, which the file to come will replace.
         Err(error) if error.kind() == io::ErrorKind::AlreadyExists => Ok(()),
         Err(error) => Err(cannot_be_written(path, error)),

@@ -2,7 +2,7 @@
 //! only pass of a run that continues a map.
 
 use crate::observer::Observer;
-use crate::plan::{RunPlan, SourcePlan};
+use crate::plan::RunPlan;
 use odograph::error::Result;
 use odograph::motion::MotionModel;
 use odograph::self_calibration::{CameraDifference, CameraMonitor, MultiPassCalibration};
@@ -14,15 +14,10 @@ const EXAMINED_PAIRS: usize = 32;
 /// Why an observer sees the beginning twice.
 const EXAMINING: &str = "examining the beginning";
 
-/// Whether a source can be read again: a file or folder, and no pipe.
-pub fn is_readable_again(source: &SourcePlan) -> bool {
-    std::fs::metadata(&source.path).is_ok_and(|there| there.is_file() || there.is_dir())
-}
-
 /// The camera of the plan. What cannot be read again is tracked once; nothing is calibrated where
 /// the plan fixes the motion model.
 pub fn calibration_of(plan: &RunPlan) -> MultiPassCalibration {
-    let readable_again = is_readable_again(&plan.source);
+    let readable_again = plan.source.is_readable_again();
     let mut calibration = MultiPassCalibration::new(plan.camera.clone(), plan.rig);
     calibration.images.clone_from(&plan.images);
     let model = plan.odometry.motion.model;

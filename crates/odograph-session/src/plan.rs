@@ -130,6 +130,12 @@ impl SourcePlan {
         !is_cut && self.every <= 1
     }
 
+    /// Whether the source can be read again: a file or folder, and no pipe.
+    pub fn is_readable_again(&self) -> bool {
+        // A folder of that name is `./-`.
+        self.path != "-" && std::fs::metadata(&self.path).is_ok_and(|there| there.is_file() || there.is_dir())
+    }
+
     /// Opens the source.
     ///
     /// # Errors

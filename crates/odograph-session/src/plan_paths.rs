@@ -36,7 +36,9 @@ impl RunPlan {
     /// Applies `change` to every path of a file; a source that is no file is not changed.
     fn each_path(&mut self, mut change: impl FnMut(&Path) -> Option<PathBuf>) {
         let source = &mut self.source.path;
-        if let Some(other) = change(Path::new(source.as_str()))
+        // A folder named as standard input is `./-`.
+        if source != "-"
+            && let Some(other) = change(Path::new(source.as_str()))
             && let Some(text) = other.to_str()
         {
             let slash = if source.ends_with('/') { "/" } else { "" };

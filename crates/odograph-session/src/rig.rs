@@ -57,13 +57,22 @@ pub fn doubtful_unit(height_m: f64) -> Option<(&'static str, &'static str)> {
 /// If the file cannot be read or is no rig file.
 pub fn read_rig(path: &Path, observer: &dyn Observer) -> Result<Rig> {
     let text = files::read_text(path)?;
-    let rig = rig_file::parse(&text).map_err(|error| {
+    let measured = rig_file::parse_measured(&text).map_err(|error| {
         if camera_file::parse(&text, Some((640, 480))).is_ok() {
             return Error::input("this is a camera file, not a rig file; give it with --camera")
                 .at(path.display());
         }
         error.at(path.display())
     })?;
+    let rig = measured.rig;
+    if let Some(LeverArm { z_m, .. }) = rig.lever_arm.filter(|arm| arm.z_m > rig.height_m) {
+        return Err(Error::input(format!(
+            "z_m is {z_m} and height_m {}: base_link would lie below the ground; z_m is how far the camera is above \
+             base_link, at most height_m",
+            rig.height_m
+        ))
+        .at(path.display()));
+    }
     if let Some((_, name)) = doubtful_unit(rig.height_m) {
         observer.warn(&format!(
             "{}: height_m is {}, a camera {} metres above the ground; are {name} meant?",

@@ -9,7 +9,7 @@ use crate::observer::Observer;
 use crate::outcome::RunOutcome;
 use crate::output::{RunOutput, explained};
 use crate::overlay_video::OverlayVideo;
-use crate::passes::{assume, calibration_of, examine_beginning, is_readable_again};
+use crate::passes::{assume, calibration_of, examine_beginning};
 use crate::pipeline::{self, Tracked};
 use crate::plan::RunPlan;
 use crate::recalibrated_odometry::RecalibratedOdometry;
@@ -207,7 +207,7 @@ fn track(
     if lens_is_known {
         examine_beginning(plan, &mut calibration, observer)?;
     }
-    let once = !is_readable_again(&plan.source);
+    let once = !plan.source.is_readable_again();
     let mut source = Some(source);
     let tracked = calibration.track(|camera| {
         assume(plan, camera);

@@ -45,6 +45,8 @@ pub struct MosaicFrames {
     /// The previous frame, unless it waits or is a keyframe.
     before: Option<Posed>,
     images: FrameImages,
+    /// Number of each frame with a stored image, and its pose in the odometry frame.
+    kept: Vec<(u64, GroundPose)>,
 }
 
 impl MosaicFrames {
@@ -56,6 +58,7 @@ impl MosaicFrames {
             waiting_covers: Coverage::new(camera),
             before: None,
             images: FrameImages::new(folder, (camera.width(), camera.height())),
+            kept: Vec::new(),
         }
     }
 
@@ -130,6 +133,21 @@ impl MosaicFrames {
         Ok(mosaic)
     }
 
+    /// Number and pose in the odometry frame of each frame whose image is stored.
+    pub fn kept(&self) -> &[(u64, GroundPose)] {
+        &self.kept
+    }
+
+    /// The image of a frame that is stored.
+    pub fn image(&mut self, frame: u64) -> Result<KeyframeImage> {
+        self.images.load(frame)
+    }
+
+    /// The frames of which it is not decided whether their images are stored.
+    pub fn undecided(&self) -> impl Iterator<Item = &Posed> {
+        self.waiting.iter().chain(&self.before)
+    }
+
     /// Segment of the last frame.
     fn segment(&self) -> Option<usize> {
         self.before.as_ref().or(self.waiting.last()).map(|posed| posed.segment)
@@ -167,6 +185,8 @@ impl MosaicFrames {
         }
         self.covered.add(&posed.pose);
         let color = posed.frame.has_color().then(|| posed.frame.rgb());
-        self.images.keep(posed.frame.number, &KeyframeImage { gray: posed.frame.gray.clone(), color })
+        self.images.keep(posed.frame.number, &KeyframeImage { gray: posed.frame.gray.clone(), color })?;
+        self.kept.push((posed.frame.number, posed.pose));
+        Ok(())
     }
 }

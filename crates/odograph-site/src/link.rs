@@ -23,6 +23,8 @@ const LONGEST_PAUSE: Duration = Duration::from_secs(15);
 /// takes one or two seconds where it does, and the pause between two questions.
 const RECOGNISED_WITHIN: Duration = Duration::from_secs(5);
 const ASKS_EVERY: Duration = Duration::from_millis(200);
+/// Time for the first sign of life of a site that cannot be reached: three attempts.
+const SILENT_FOR: Duration = Duration::from_secs(2);
 /// Maximum number of records read at once: bounds memory, and what is sent again after a failure.
 const AT_ONCE: usize = 16;
 
@@ -37,6 +39,14 @@ pub struct LinkReport {
     pub problem: Option<String>,
     /// Last answer of the site about the newest session.
     pub status: Option<SiteStatus>,
+}
+
+impl LinkReport {
+    /// How long to wait for a sign of life; `usual` where there was one, or none is missing yet.
+    fn patience(&self, usual: Duration) -> Duration {
+        let is_silent = self.acknowledged == 0 && self.status.is_none() && self.problem.is_some();
+        if is_silent { usual.min(SILENT_FOR) } else { usual }
+    }
 }
 
 /// A running link. Dropped it ends at once; what has not been sent stays in the map.
@@ -101,14 +111,15 @@ impl SiteLink {
     }
 
     /// Sends the rest of the map, which no program writes any more, as long as the site takes it,
-    /// and at most `patience` after its last sign of life. Then waits some seconds for the site to
+    /// and at most `patience` after its last sign of life, or some seconds if it has given none and
+    /// cannot be reached. Then waits some seconds for the site to
     /// recognise the newest session. `keep_going` is asked in between.
     pub fn finish(mut self, patience: Duration, keep_going: &dyn Fn() -> bool) -> LinkReport {
         *self.shared.finishing.lock().unwrap_or_else(PoisonError::into_inner) = true;
         self.shared.changed.notify_all();
         let (mut heard, mut known) = (Instant::now(), 0);
         while self.thread.as_ref().is_some_and(|thread| !thread.is_finished())
-            && heard.elapsed() < patience
+            && heard.elapsed() < self.report().patience(patience)
             && keep_going()
         {
             thread::sleep(Duration::from_millis(20));
@@ -409,5 +420,19 @@ impl Sending {
         let known = self.shared.finishing.lock().unwrap_or_else(PoisonError::into_inner);
         let unchanged = |now: &mut bool| *now == finishing && !self.is_ended();
         drop(self.shared.changed.wait_timeout_while(known, pause, unchanged));
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_site_that_cannot_be_reached_is_not_waited_for_as_one_that_answers() {
+        let usual = Duration::from_secs(20);
+        let silent = LinkReport { problem: Some("connection refused".into()), ..Default::default() };
+        assert_eq!(silent.patience(usual), SILENT_FOR);
+        assert_eq!(LinkReport { acknowledged: 1, ..silent }.patience(usual), usual);
+        assert_eq!(LinkReport::default().patience(usual), usual);
     }
 }

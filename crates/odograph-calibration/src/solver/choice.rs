@@ -15,6 +15,12 @@ const MIN_LOSS: f64 = 0.002;
 /// error over the image. A misfit grows towards the image corners, where there are few points.
 const SURE_OVER_FITTING: f64 = 30.0;
 
+/// Two models whose rays differ by less than this many standard deviations may be the same lens.
+const CHANCE_DEVIATIONS: f64 = 2.0;
+
+/// Models whose RMS errors differ by less than this factor describe the views equally well.
+const NEAR: f64 = 1.1;
+
 /// Half diagonal field of view from which a lens counts as very wide, radians: 60°.
 const VERY_WIDE_RAD: f64 = std::f64::consts::FRAC_PI_3;
 
@@ -53,23 +59,25 @@ impl Tried {
 /// the larger of two estimates:
 ///
 /// * the disagreement of its rays with those of the best-predicting model, minus the variance of
-///   the latter;
+///   the latter, where it is significant;
 /// * the excess of its cross-validation error over that of the best-predicting model, minus one
 ///   standard error of the paired differences between views (the one-standard-error rule of L.
 ///   Breiman et al., "Classification and regression trees", 1984, section 3.4.3), times a factor.
 ///
-/// The double sphere model, which few programs support, is only selected for very wide lenses, and
-/// a rational model only without a pole in the image.
+/// The double sphere model, which few programs support, is only selected for very wide lenses, a
+/// rational model only without a pole in the image. A model that turns back within the image, where
+/// one that predicts as well does not, is neither selected nor what the others are compared with.
 pub fn choose(tried: &mut [Tried]) -> Option<usize> {
     let squares = squared_ray_errors(tried);
     for (one, square) in tried.iter_mut().zip(squares.iter().flatten()) {
         one.candidate.with_misfit_px = square.sqrt();
     }
     let Some(squares) = squares else { return simplest_that_fits(tried) };
-    let very_wide = is_very_wide(&tried[best_predicting(tried)?].camera);
+    let whole = with_most_corners(tried);
+    let very_wide = is_very_wide(&tried[best_predicting(tried, &whole)?].camera);
     let eligible = |at: &usize| {
         let rare = tried[*at].fit.model == LensModel::DoubleSphere && !very_wide;
-        !rare && !has_pole(&tried[*at].camera)
+        !rare && whole[*at] && !has_pole(&tried[*at].camera)
     };
     (0..tried.len()).filter(eligible).min_by(|&a, &b| squares[a].total_cmp(&squares[b]))
 }
@@ -80,15 +88,34 @@ fn held_out(tried: &Tried) -> f64 {
     views.iter().sum::<f64>() / views.len().max(1) as f64
 }
 
-/// Index of the model that predicts held-out views best.
-fn best_predicting(tried: &[Tried]) -> Option<usize> {
-    (0..tried.len()).min_by(|&a, &b| held_out(&tried[a]).total_cmp(&held_out(&tried[b])))
+/// Index of the model that predicts held-out views best, among those that are `whole`.
+fn best_predicting(tried: &[Tried], whole: &[bool]) -> Option<usize> {
+    let models = (0..tried.len()).filter(|&at| whole[at]);
+    models.min_by(|&a, &b| held_out(&tried[a]).total_cmp(&held_out(&tried[b])))
+}
+
+/// Of each model whether none that predicts held-out views as well, to [`NEAR`], has rays through
+/// more corners of the image.
+fn with_most_corners(tried: &[Tried]) -> Vec<bool> {
+    let least = tried.iter().map(held_out).fold(f64::INFINITY, f64::min);
+    let counts: Vec<usize> = tried.iter().map(|one| corners_with_rays(&one.camera)).collect();
+    let near = tried.iter().zip(&counts).filter(|(one, _)| held_out(one) <= NEAR.powi(2) * least);
+    let most = near.map(|(_, count)| *count).max().unwrap_or(0);
+    counts.into_iter().map(|count| count >= most).collect()
+}
+
+/// Number of image corners with rays, but for their outermost pixels. Beyond some angle the
+/// polynomials of a lens turn back: from there on there are none.
+fn corners_with_rays(camera: &Camera) -> usize {
+    /// Distance from the middle of the image, of that of a corner.
+    const WITHIN: f64 = 0.97;
+    rays_at(camera, WITHIN).iter().flatten().count()
 }
 
 /// Mean square ray error of each model over the image, variance plus squared bias; `None` if there
 /// are too few views for cross-validation.
 fn squared_ray_errors(tried: &[Tried]) -> Option<Vec<f64>> {
-    let best = best_predicting(tried)?;
+    let best = best_predicting(tried, &with_most_corners(tried))?;
     if !held_out(&tried[best]).is_finite() {
         return None;
     }
@@ -101,16 +128,17 @@ fn squared_ray_errors(tried: &[Tried]) -> Option<Vec<f64>> {
         let variance = differences.iter().map(|d| (d - lost).powi(2)).sum::<f64>() / (count - 1.0).max(1.0);
         let chance = (variance / count).sqrt().max(MIN_LOSS * held_out(&tried[best]));
         let apart_px = disagreement_px(&tried[best].camera, &tried[at].fit.state.lens);
-        let apart = if at == best { 0.0 } else { apart_px.powi(2) - error(best).powi(2) };
+        let is_chance = at == best || apart_px < CHANCE_DEVIATIONS * error(best);
+        let apart = if is_chance { 0.0 } else { apart_px.powi(2) - error(best).powi(2) };
         error(at).powi(2) + apart.max(SURE_OVER_FITTING * (lost - chance)).max(0.0)
     };
     Some((0..tried.len()).map(total).collect())
 }
 
-/// The model for too few views: the simplest one whose RMS is within 10 % of the best.
+/// The model for too few views: the simplest one whose RMS is within [`NEAR`] of the best.
 fn simplest_that_fits(tried: &[Tried]) -> Option<usize> {
     let least = tried.iter().map(|one| one.candidate.rms_px).fold(f64::INFINITY, f64::min);
-    let near = |at: &usize| tried[*at].candidate.rms_px <= 1.1 * least;
+    let near = |at: &usize| tried[*at].candidate.rms_px <= NEAR * least;
     (0..tried.len()).filter(near).min_by_key(|&at| tried[at].fit.model.coefficients())
 }
 
@@ -140,15 +168,31 @@ fn is_very_wide(camera: &Camera) -> bool {
 
 /// The rays through the corners of the image, as far as there are any.
 fn corner_rays(camera: &Camera) -> [Option<Ray>; 4] {
-    let (right, bottom) = (camera.width() as f64 - 1.0, camera.height() as f64 - 1.0);
-    [(0.0, 0.0), (right, 0.0), (0.0, bottom), (right, bottom)]
-        .map(|(x, y)| camera.ray_from_pixel(Pixel::new(x, y)))
+    rays_at(camera, 1.0)
+}
+
+/// The same at this share of the way from the middle of the image to its corners.
+fn rays_at(camera: &Camera, share: f64) -> [Option<Ray>; 4] {
+    let (x, y) = (0.5 * (camera.width() as f64 - 1.0), 0.5 * (camera.height() as f64 - 1.0));
+    [(-share, -share), (share, -share), (-share, share), (share, share)]
+        .map(|(right, down)| camera.ray_from_pixel(Pixel::new(x + right * x, y + down * y)))
 }
 
 #[cfg(test)]
 #[allow(clippy::unwrap_used)] // in a test, what cannot be is a failure of the test
 mod tests {
     use super::*;
+
+    #[test]
+    fn a_lens_that_turns_back_before_the_corners_has_no_rays_there() {
+        // Fitted to the same views of an action camera: nearly alike to 500 px from the middle, but
+        // the first has its largest radius, 610 px, at 60°.
+        let polynomial = Distortion::from_opencv(&[-0.246, 0.076, 0.0, 0.0, -0.012]).unwrap();
+        let fisheye = Distortion::KannalaBrandt { k1: 0.070, k2: -0.014, k3: 0.013, k4: -0.004 };
+        let camera = |lens| Camera::new((1280, 960), (565.5, 566.4), (651.3, 500.3), lens).unwrap();
+        assert_eq!(corners_with_rays(&camera(polynomial)), 0);
+        assert_eq!(corners_with_rays(&camera(fisheye)), 4);
+    }
 
     #[test]
     fn a_rational_lens_with_a_pole_in_the_image_is_recognised() {

@@ -2,6 +2,7 @@
 
 use super::evaluate::over_ground_m;
 use super::run::{ConsoleObserver, print_summary};
+use crate::browser::OpeningBrowser;
 use crate::console::quoted;
 use crate::{Outcome, console, files};
 use odograph::error::{Error, Result};
@@ -45,6 +46,9 @@ pub struct DemoArguments {
     /// Print stats.json to standard output instead of a summary.
     #[arg(long)]
     pub json: bool,
+    /// Open the report in the browser of this machine.
+    #[arg(long)]
+    pub open: bool,
 }
 
 /// Fails if the folder has results, or other inputs under the demo's names.
@@ -118,6 +122,9 @@ pub fn demo(arguments: DemoArguments) -> Result<Outcome> {
     let outcome = Outcome::from(followed.end);
     if is_chatty && outcome != Outcome::Interrupted {
         compare(folder, &truth)?;
+    }
+    if arguments.open {
+        OpeningBrowser::at(folder.join("report.html")).wait();
     }
     Ok(outcome)
 }

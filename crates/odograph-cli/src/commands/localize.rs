@@ -101,14 +101,14 @@ pub fn localize(arguments: LocalizeArguments) -> Result<Outcome> {
     let mut report = followed(&arguments, source.clone(), extends, arguments.force, &observer)?;
     let is_extended = extends && report.place.is_some();
     let is_interrupted = report.end == RunEnd::Interrupted;
-    let path = Path::new(&source.path);
-    if extends && !is_extended && !is_interrupted && (path.is_file() || path.is_dir()) {
+    let is_read_again = source.is_readable_again();
+    if extends && !is_extended && !is_interrupted && is_read_again {
         // One sighting does not extend a map, and is enough for a place.
         report = followed(&arguments, source.clone(), false, true, &observer)?;
     }
     print_result(&arguments, &report)?;
     if arguments.extend && !is_extended && !is_interrupted && !arguments.quiet {
-        tell_not_extended(&arguments.map, path.is_file() || path.is_dir());
+        tell_not_extended(&arguments.map, is_read_again);
     }
     Ok(match (report.place, Outcome::from(report.end)) {
         (_, Outcome::Interrupted) => Outcome::Interrupted,
@@ -150,8 +150,7 @@ fn is_one_picture(source: &SourcePlan) -> Result<bool> {
     if source.max_frames == Some(1) {
         return Ok(true);
     }
-    let path = Path::new(&source.path);
-    Ok((path.is_file() || path.is_dir()) && source.open()?.info().frame_count == Some(1))
+    Ok(source.is_readable_again() && source.open()?.info().frame_count == Some(1))
 }
 
 /// Says that a map that was to be extended was not, and why.

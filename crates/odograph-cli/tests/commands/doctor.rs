@@ -288,6 +288,15 @@ fn findings_are_a_line_each_and_bad_input_is_an_error() {
 }
 
 #[test]
+fn of_what_cannot_be_tracked_nothing_is_said_to_move_with_the_ground() {
+    let black = Clip::new(&["--duration", "0.2"])
+        .frames(|frames| frames.iter().take(1).map(|frame| vec![0; frame.len()]).collect());
+    let diagnosis = black.doctor();
+    let finding = diagnosis.assert("fixed in the image", "unknown");
+    assert_eq!(finding["measured"], "not determined: no motion was tracked");
+}
+
+#[test]
 fn a_recording_in_which_nothing_moves_is_a_finding() {
     let still = Clip::of_pictures(&["--path", "still"]);
     // What a camera file of unknown shutter leaves open.

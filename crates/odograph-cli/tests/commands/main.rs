@@ -7,6 +7,8 @@
 mod bags;
 mod batch;
 mod board;
+#[cfg(unix)]
+mod browser;
 mod calibrate;
 mod camera;
 mod doctor;

@@ -1,5 +1,6 @@
 //! Recordings that can be read once.
 
+use super::program::{done, done_once};
 use serde_json::Value;
 use std::fs;
 use std::path::Path;
@@ -10,6 +11,44 @@ fn odograph(arguments: &str, folder: &Path, input: Stdio) {
     let mut command = Command::new(program);
     let output = command.args(arguments.split(' ')).current_dir(folder).stdin(input).output().unwrap();
     assert!(output.status.success(), "{arguments}: {output:?}");
+}
+
+#[test]
+fn a_folder_named_as_standard_input_does_not_hide_it() {
+    let folder = tempfile::tempdir().unwrap();
+    let place = folder.path();
+    odograph(
+        "simulate --path straight --length 0.3 --size 320x240 --fps 15 --format y4m -o drive -q",
+        place,
+        Stdio::null(),
+    );
+    // A recording in it would be followed instead.
+    fs::create_dir(place.join("-")).unwrap();
+    fs::copy(place.join("drive/sim.y4m"), place.join("-/other.y4m")).unwrap();
+    let piped = || fs::File::open(place.join("drive/sim.y4m")).unwrap().into();
+    odograph("run - --camera drive/camera.yaml --height 0.9 -o out -q", place, piped());
+    let plan = fs::read_to_string(place.join("out/run.toml")).unwrap();
+    assert!(plan.contains("path = \"-\""), "{plan}");
+    // A map of half a metre of asphalt is too small to be sure of a place in it.
+    let mut localize = Command::new(env!("CARGO_BIN_EXE_odograph"));
+    localize.args("localize - --map out/map.gpkg --extend".split(' ')).current_dir(place).stdin(piped());
+    let output = localize.output().unwrap();
+    let told = String::from_utf8_lossy(&output.stderr);
+    assert!(output.status.code() == Some(4) && told.contains("standard input looks like"), "{told}");
+}
+
+#[test]
+fn a_readout_time_longer_than_the_interval_between_frames_is_doubted() {
+    let folder = tempfile::tempdir().unwrap();
+    let place = folder.path();
+    done_once(
+        place,
+        "simulate -o sim --path straight --length 0.3 --size 320x240 --fps 15 --format mjpeg -q",
+    );
+    let run = "run sim/sim.avi --camera sim/camera.yaml --height 0.9";
+    let told = done(place, &format!("{run} --readout-ms 67 -o wrong"));
+    assert!(told.contains("the readout time is 67.0 ms, longer than the 66.7 ms"), "{told}");
+    assert!(!done(place, &format!("{run} --readout-ms 20 -o right")).contains("readout time is 20"));
 }
 
 #[test]

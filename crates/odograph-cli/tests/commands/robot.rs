@@ -43,6 +43,22 @@ fn worst(estimate: &Trajectory, truth: &Trajectory, camera_from_frame: &Isometry
 }
 
 #[test]
+fn a_rig_that_cannot_be_is_refused() {
+    let place = tempfile::tempdir().unwrap();
+    let folder = place.path();
+    recorded(folder);
+    for (rig, words) in [
+        ("height_m = 0.75\nz_m = 0.8\n", "z_m is 0.8 and height_m 0.75"),
+        ("height_m = 0.75\nroll_deviation_deg = -0.1\n", "roll_deviation_deg is -0.1"),
+    ] {
+        fs::write(folder.join("wrong.toml"), rig).unwrap();
+        let refused = odograph(folder, &format!("run {DRIVE} --rig wrong.toml -o wrong"));
+        let told = String::from_utf8(refused.stderr).unwrap();
+        assert!(refused.status.code() == Some(3) && told.contains(words), "{told}");
+    }
+}
+
+#[test]
 fn with_a_lever_arm_the_poses_are_those_of_the_robot() {
     let place = tempfile::tempdir().unwrap();
     let here = place.path();

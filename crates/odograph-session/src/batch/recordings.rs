@@ -51,7 +51,8 @@ impl Recording {
             let folder = Path::new(source);
             let mut found =
                 Found { is_deep, results: results.as_deref(), seen: HashSet::new(), recordings: Vec::new() };
-            if !is_one_recording(folder) {
+            // A folder of that name is `./-`.
+            if source != "-" && !is_one_recording(folder) {
                 found.search(folder);
             }
             if found.recordings.is_empty() {

@@ -101,6 +101,7 @@ fn unknown(topic: &'static str, unit: &'static str, measured: String, advice: &s
 
 /// Why something is not determined, and what to do.
 const AT_REST: &str = "not determined: nothing moves";
+const NOT_TRACKED: &str = "not determined: no motion was tracked";
 const DRIVE: &str = "examine a recording in which the camera drives";
 
 impl Seen<'_> {
@@ -431,6 +432,9 @@ impl Seen<'_> {
         if self.tracking.at_rest_px().is_some() {
             return unknown("fixed in the image", "%", AT_REST.to_owned(), DRIVE);
         }
+        if self.tracking.steps.is_empty() {
+            return unknown("fixed in the image", "%", NOT_TRACKED.to_owned(), DRIVE);
+        }
         let percent = 100.0 * self.fixed_share.max(0.0);
         let judgement = Judgement::of(percent, 1.0, 50.0);
         let place = match judgement {
@@ -493,7 +497,7 @@ impl Seen<'_> {
             return Some(match self.tracking.at_rest_px() {
                 Some(_) => unknown("tilt", "deg", AT_REST.to_owned(), DRIVE),
                 None if self.tracking.steps.is_empty() => {
-                    unknown("tilt", "deg", "not determined: no motion was tracked".to_owned(), DRIVE)
+                    unknown("tilt", "deg", NOT_TRACKED.to_owned(), DRIVE)
                 }
                 None => found("tilt", (0.0, "deg"), Judgement::Good, measured, ""),
             });

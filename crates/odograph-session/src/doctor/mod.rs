@@ -15,7 +15,6 @@ mod tracking;
 use crate::builder::RunBuilder;
 use crate::mask;
 use crate::observer::Observer;
-use crate::passes::is_readable_again;
 use crate::plan::RunPlan;
 use appearance::Appearance;
 use findings::Seen;
@@ -71,7 +70,7 @@ impl RunBuilder {
         let given_share = given.as_ref().map_or(0.0, ImageMask::share);
         let stretches = stretches::of(info.frame_count);
         let rate_is_assumed = source.is_rate_assumed();
-        let may_begin_again = is_readable_again(&plan.source);
+        let may_begin_again = plan.source.is_readable_again();
         let mut looked_at = Looked::new(size, &plan, given.clone());
         // Begins again as a run does: frames that were lost until a pattern that the camera adds,
         // or another mount or lens was known are not lost.

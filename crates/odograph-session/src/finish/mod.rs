@@ -135,6 +135,21 @@ fn enough(plan: &RunPlan, tracked: &mut Tracked, output: &RunOutput) -> Result<(
     }))
 }
 
+/// Warning about a readout time that is longer than the mean interval between frames.
+fn impossible_readout(plan: &RunPlan, frames: &KeptFrames) -> Option<String> {
+    let readout_s = plan.camera.readout_s()?;
+    let duration_s = frames.last()?.time_s - frames.first_time_s()?;
+    let interval_s = duration_s / frames.count().checked_sub(1).filter(|steps| *steps > 0)? as f64;
+    (readout_s > interval_s).then(|| {
+        format!(
+            "the readout time is {:.1} ms, longer than the {:.1} ms from one frame to the next; correct --readout-ms, or \
+             leave it away and it is estimated",
+            1e3 * readout_s,
+            1e3 * interval_s
+        )
+    })
+}
+
 /// The errors that ended the recording or its map early, each with a warning.
 fn ended_early(tracked: &mut Tracked) -> Option<Error> {
     let recording = tracked.failure.take();
@@ -149,6 +164,7 @@ impl Finishing<'_> {
     fn finish(&mut self) -> Result<RunOutcome> {
         let (plan, ending, pose_frames) = (self.plan, self.ending, self.pose_frames.clone());
         self.report_calibration()?;
+        self.warn(impossible_readout(plan, &self.tracked.frames));
         let abrupt = widen_abrupt(&mut self.tracked.frames, self.folder.path())?;
         self.warn(abrupt);
         let mut improved =

@@ -6,7 +6,7 @@ use odograph::camera::Camera;
 use odograph::error::Result;
 use odograph::fixed_pattern::ImageMask;
 use odograph::geometry::{GroundPose, Sim2};
-use odograph::ground_map::{KeyframeImage, KeyframeImages};
+use odograph::ground_map::{KeyframeImages, MapKeyframe};
 use odograph::keyframe::KeyframeId;
 use odograph::mosaic::{Mosaic, MosaicSquare};
 use odograph_live::ground::GroundState;
@@ -46,10 +46,37 @@ enum Stage {
 pub struct MosaicUpdate {
     /// The file with the keyframes' images.
     pub file: PathBuf,
-    pub keyframes: Vec<(KeyframeId, GroundPose)>,
-    /// Correction of the newest keyframe: subsequent frames are rendered with it.
+    pub session: u32,
+    /// The session's keyframes, in their order. Later ones and subsequent frames are corrected as
+    /// the last of them.
+    pub keyframes: Vec<PlacedKeyframe>,
+}
+
+/// Where a keyframe is after a loop closure.
+#[derive(Clone, Copy)]
+pub struct PlacedKeyframe {
+    pub id: KeyframeId,
+    /// Number of its frame in the source.
+    pub frame: u64,
+    /// In the map frame.
+    pub pose: GroundPose,
+    /// Correction of the frames after it, to the next keyframe.
     pub correction: Sim2,
 }
+
+impl From<&MapKeyframe> for PlacedKeyframe {
+    fn from(keyframe: &MapKeyframe) -> Self {
+        Self {
+            id: keyframe.id,
+            frame: keyframe.frame,
+            pose: keyframe.pose,
+            correction: keyframe.map_from_odometry(),
+        }
+    }
+}
+
+/// Largest number of times that keyframes are looked for which came during the rendering before.
+const ROUNDS: usize = 4;
 
 /// Revisions reserved for one rendering: more than a run has frames.
 const REVISIONS: u64 = 1 << 40;
@@ -93,29 +120,74 @@ impl LiveGround {
         }
     }
 
-    /// Renders everything again from the keyframes in the map file, and subsequent frames relative
-    /// to the newest of them. Until then the old mosaic is shown.
+    /// Renders everything again at the corrected poses: the keyframes in the map file, and the
+    /// frames that show what no keyframe does. Subsequent frames are corrected as the newest
+    /// keyframe. Until then the old mosaic is shown.
     pub fn render_again(&self, update: &MosaicUpdate) -> Result<()> {
+        let Some(newest) = update.keyframes.last() else { return Ok(()) };
         let mut file = MapFile::open_read_only(&update.file)?;
         let mut fresh = Mosaic::new(Default::default());
         if let Stage::Growing(rendering) = &self.state().mosaic {
             fresh.set_mask(rendering.mosaic().mask().cloned());
         }
-        for (id, pose) in &update.keyframes {
-            let KeyframeImage { gray, color } = file.load(*id)?;
-            match &color {
-                Some(color) => fresh.add(color, &self.camera, pose),
-                None => fresh.add(&gray, &self.camera, pose),
-            };
+        let mut rendered = BTreeSet::new();
+        for _ in 0..ROUNDS {
+            let mut views = self.views(&file, update)?;
+            views.retain(|view| rendered.insert(view.0));
+            if views.is_empty() {
+                break;
+            }
+            for (frame, keyframe, pose) in views {
+                let image = match keyframe {
+                    Some(id) => file.load(id)?,
+                    None => match &mut self.state().mosaic {
+                        Stage::Growing(rendering) => rendering.views().image(frame)?,
+                        _ => return Ok(()),
+                    },
+                };
+                match &image.color {
+                    Some(color) => fresh.add(color, &self.camera, &pose),
+                    None => fresh.add(&image.gray, &self.camera, &pose),
+                };
+            }
         }
-        let there: BTreeSet<MosaicSquare> = fresh.changed_since(0).collect();
         let state = &mut *self.state();
         let Stage::Growing(rendering) = &mut state.mosaic else { return Ok(()) };
         state.bare.extend(rendering.mosaic().changed_since(0));
+        rendering.go_on(fresh, newest.correction, |frame| rendered.contains(&frame));
+        let there: BTreeSet<MosaicSquare> = rendering.mosaic().changed_since(0).collect();
         state.bare.retain(|square| !there.contains(square));
-        rendering.go_on(fresh, update.correction);
         state.generation += 1;
         Ok(())
+    }
+
+    /// Frame, keyframe if it is one, and corrected pose of everything with a stored image, in the
+    /// order of the frames.
+    fn views(
+        &self,
+        file: &MapFile,
+        update: &MosaicUpdate,
+    ) -> Result<Vec<(u64, Option<KeyframeId>, GroundPose)>> {
+        let mut keyframes = update.keyframes.clone();
+        let newest = keyframes.last().copied();
+        let of_map = file.map()?.keyframes;
+        let since = of_map.iter().filter(|keyframe| keyframe.session == update.session);
+        keyframes.extend(since.filter_map(|keyframe| {
+            let correction = newest.filter(|newest| newest.frame < keyframe.frame)?.correction;
+            let pose = correction.apply_to_pose(&keyframe.odometry_pose);
+            Some(PlacedKeyframe { pose, correction, ..keyframe.into() })
+        }));
+        let mut views: Vec<_> =
+            keyframes.iter().map(|keyframe| (keyframe.frame, Some(keyframe.id), keyframe.pose)).collect();
+        if let Stage::Growing(rendering) = &mut self.state().mosaic {
+            views.extend(rendering.views().kept().iter().filter_map(|(frame, pose)| {
+                let after = keyframes.partition_point(|keyframe| keyframe.frame <= *frame);
+                let keyframe = keyframes.get(after.saturating_sub(1))?;
+                Some((*frame, None, keyframe.correction.apply_to_pose(pose)))
+            }));
+        }
+        views.sort_unstable_by_key(|view| view.0);
+        Ok(views)
     }
 
     /// Finishes rendering; viewers see the mosaic as it is. `None` if it is finished already.
@@ -186,7 +258,7 @@ mod tests {
     use super::*;
     use odograph::camera::{Distortion, Rig};
     use odograph::geometry::{GroundPose, Placement};
-    use odograph::ground_map::MapKeyframe;
+    use odograph::ground_map::KeyframeImage;
     use odograph::image::GrayImage;
     use odograph::keyframe::KeyframeId;
     use odograph_video::{Frame, Picture, SampleLayout};
@@ -259,9 +331,8 @@ mod tests {
         ground.render(posed(1, 90, at(30.0)), None);
         let before = TiledGround::state(&ground).unwrap().revision;
         assert_eq!([0.1, 15.1, 30.1].map(|x_m| shade(&ground, x_m)), [Some(50), None, Some(90)]);
-        let keyframes = vec![(first.id, first.pose), (second.id, second.pose)];
-        let correction = second.map_from_odometry();
-        ground.render_again(&MosaicUpdate { file: path, keyframes, correction }).unwrap();
+        let keyframes = vec![PlacedKeyframe::from(&first), PlacedKeyframe::from(&second)];
+        ground.render_again(&MosaicUpdate { file: path, session, keyframes }).unwrap();
         // Every changed tile is reported to the viewers, including empty ones.
         let changed = ground.changed_since(before);
         let (there, bare): (Vec<_>, Vec<_>) =
@@ -274,6 +345,57 @@ mod tests {
         assert_eq!([25.1, 40.1].map(|x_m| shade(&ground, x_m)), [Some(130), None]);
         let new = ground.changed_since(revision);
         assert!(!new.is_empty() && new.iter().all(|tile| ground.tile_rgba(*tile).is_some()), "{new:?}");
+    }
+
+    #[test]
+    fn after_a_loop_frames_between_keyframes_and_later_keyframes_stay_rendered() {
+        let folder = tempfile::tempdir().unwrap();
+        let path = folder.path().join("map.gpkg");
+        let camera = camera();
+        let mut file = MapFile::create(&path, &camera, &Rig::level(1.0)).unwrap();
+        let session = file.begin_session("drive").unwrap();
+        let mut keyframe = |id: u64, frame: u64, odometry_x_m, x_m, shade| {
+            let keyframe = MapKeyframe {
+                id: KeyframeId(id),
+                session,
+                segment: 0,
+                frame,
+                time_s: frame as f64,
+                odometry_pose: at(odometry_x_m),
+                pose: at(x_m),
+                covariance: nalgebra::Matrix6::identity() * 1e-6,
+                signature: Default::default(),
+            };
+            let gray = GrayImage::from_samples(64, 48, vec![shade; 64 * 48]).unwrap();
+            file.add_keyframe(&keyframe, &KeyframeImage { gray, color: None }, &[]).unwrap();
+            keyframe
+        };
+        let ground = LiveGround::new(camera, folder.path(), true);
+        // A loop moves the keyframe of frame 0 back by 5 m, that of frame 20 by 13 m.
+        let known = [keyframe(0, 0, 0.0, -5.0, 50), keyframe(1, 20, 200.0, 187.0, 90)];
+        // The map has another one since then, and those of the last frames are yet to come.
+        keyframe(2, 30, 300.0, 300.0, 110);
+        for number in 0..=32 {
+            let shade = 50 + number as u8;
+            let is_keyframe = [0, 20, 30].contains(&number);
+            ground.render(Posed { is_keyframe, ..posed(number, shade, at(10.0 * number as f64)) }, None);
+        }
+        let keyframes = known.iter().map(PlacedKeyframe::from).collect();
+        ground.render_again(&MosaicUpdate { file: path, session, keyframes }).unwrap();
+        for (frame, shift_m, expected) in [
+            (0, 5.0, 50),
+            (1, 5.0, 51),
+            (19, 5.0, 69),
+            (20, 13.0, 90),
+            (21, 13.0, 71),
+            (29, 13.0, 79),
+            (30, 13.0, 110),
+            (31, 13.0, 81),
+            (32, 13.0, 82),
+        ] {
+            let x_m = 10.0 * f64::from(frame) - shift_m + 0.1;
+            assert_eq!(shade(&ground, x_m), Some(expected), "frame {frame}");
+        }
     }
 
     #[test]

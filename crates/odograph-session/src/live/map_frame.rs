@@ -3,7 +3,7 @@
 //! Odometry's own path never jumps: what is printed, sent and recorded stays as measured. The page
 //! shows the map frame instead, in which a loop closure moves earlier poses.
 
-use super::ground::{LiveGround, MosaicUpdate};
+use super::ground::{LiveGround, MosaicUpdate, PlacedKeyframe};
 use super::map_graph::{map_graph, map_markers};
 use crate::mapping::Mapping;
 use odograph::geometry::Sim2;
@@ -76,11 +76,10 @@ impl<'a> MapFrameUpdates<'a> {
             self.send_markers(mapping);
         }
         let own = map.keyframes.iter().filter(|keyframe| keyframe.session == mapper.session());
-        let Some(newest) = own.clone().next_back() else { return };
         self.updates.give(MosaicUpdate {
             file: mapping.path().to_owned(),
-            keyframes: own.map(|keyframe| (keyframe.id, keyframe.pose)).collect(),
-            correction: newest.map_from_odometry(),
+            session: mapper.session(),
+            keyframes: own.map(PlacedKeyframe::from).collect(),
         });
     }
 }

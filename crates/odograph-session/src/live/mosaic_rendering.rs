@@ -7,6 +7,7 @@ use odograph::error::Error;
 use odograph::fixed_pattern::ImageMask;
 use odograph::geometry::{PlaneTransform, Sim2};
 use odograph::mosaic::Mosaic;
+use std::collections::VecDeque;
 use std::path::Path;
 use std::sync::Arc;
 use std::time::Instant;
@@ -27,7 +28,12 @@ pub struct MosaicRendering {
     /// The previous frame if it was not rendered: rendered if it turns out to be the last of its
     /// segment.
     before: Option<Posed>,
+    /// The frames that were rendered last: their keyframes may not be in the map yet.
+    recent: VecDeque<Posed>,
 }
+
+/// Number of frames in `recent`. Keyframes are in the map within a few frames.
+const RECENT: usize = 8;
 
 /// Results besides the mosaic.
 pub struct MosaicRenderingSummary {
@@ -50,6 +56,7 @@ impl MosaicRendering {
             failure: None,
             times: Timings::default(),
             before: None,
+            recent: VecDeque::new(),
         }
     }
 
@@ -58,9 +65,23 @@ impl MosaicRendering {
         &self.mosaic
     }
 
-    /// Continues on a newly rendered mosaic, with corrected frames.
-    pub fn go_on(&mut self, mosaic: Mosaic, correction: Sim2) {
+    /// The frames whose images are stored for the end.
+    pub fn views(&mut self) -> &mut MosaicFrames {
+        &mut self.views
+    }
+
+    /// Continues on a newly rendered mosaic, with corrected frames. `has` tells which frames are in
+    /// it; of the latest ones, those that are not are rendered.
+    pub fn go_on(&mut self, mosaic: Mosaic, correction: Sim2, has: impl Fn(u64) -> bool) {
         (self.mosaic, self.correction) = (mosaic, correction);
+        let mut latest: Vec<Posed> = self.views.undecided().chain(&self.recent).cloned().collect();
+        latest.sort_by_key(|posed| posed.frame.number);
+        latest.dedup_by_key(|posed| posed.frame.number);
+        for posed in latest.iter().filter(|posed| !has(posed.frame.number)) {
+            if self.mosaic.wants(&self.camera, &correction.apply_to_pose(&posed.pose)) {
+                self.render(posed);
+            }
+        }
     }
 
     /// Renders a frame where it shows new ground, outside the mask.
@@ -76,6 +97,8 @@ impl MosaicRendering {
         if self.shown {
             if self.mosaic.wants(&self.camera, &self.correction.apply_to_pose(&posed.pose)) {
                 self.render(&posed);
+                self.recent.truncate(RECENT - 1);
+                self.recent.push_front(posed);
             } else {
                 self.before = Some(posed);
             }

@@ -64,9 +64,7 @@ pub fn calibrate(
     let no_ground = Mutex::new(Mosaic::new(Default::default()));
     let hub = Arc::new(Hub::new(introduction(name, &info), Arc::new(no_ground)));
     let serving = Serving::start(&arguments.serve, hub, offer(output))?;
-    if !arguments.quiet {
-        serving.print_address("");
-    }
+    serving.show_address("", arguments.quiet);
     let started = Instant::now();
     let queue = Arc::new(Newest::new(opened.policy, FRAMES_WAITING));
     let ended = capture(opened.source, Arc::clone(&queue));

@@ -136,9 +136,7 @@ pub fn live(arguments: LiveArguments) -> Result<Outcome> {
     let link = arguments.site.start(&map, run.folder(), arguments.quiet)?;
     outputs.tell_losses_to(link.clone());
     let serving = Serving::start(&arguments.serve, Arc::clone(run.hub()), Offer::of_run(run.folder()))?;
-    if !arguments.quiet {
-        serving.print_address("");
-    }
+    serving.show_address("", arguments.quiet);
     observer.log_plan(run.plan(), run.source());
     let result = run.follow(Some(&mut outputs), &observer);
     serving.set_phase(if result.is_ok() { Phase::Saved } else { Phase::Failed }, result.as_ref().err());

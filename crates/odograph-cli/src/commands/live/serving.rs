@@ -1,5 +1,6 @@
 //! The page of a run: started with it, and kept after it while there are viewers.
 
+use crate::browser::OpeningBrowser;
 use crate::{address, console, interrupt};
 use odograph::error::{Error, Result};
 use odograph_live::server::new_token;
@@ -26,16 +27,20 @@ pub struct ServeArguments {
     /// given.
     #[arg(help_heading = "Page", long, value_name = "TOKEN")]
     pub token: Option<String>,
+    /// Open the page in the browser of this machine.
+    #[arg(help_heading = "Page", long)]
+    pub open: bool,
 }
 
 impl ServeArguments {
-    /// Fails if a token is given without a page to serve.
+    /// Fails if an option of the page is given without a page to serve.
     pub fn check(&self) -> Result<()> {
-        match (&self.token, self.serve) {
-            (Some(_), None) => Err(Error::usage(
-                "--token is for the page, which only --serve offers; add --serve, or leave --token away",
-            )),
-            _ => Ok(()),
+        let given = [("--token", self.token.is_some()), ("--open", self.open)];
+        match given.into_iter().find(|(_, is_given)| *is_given && self.serve.is_none()) {
+            Some((option, _)) => Err(Error::usage(format!(
+                "{option} is for the page, which only --serve offers; add --serve, or leave {option} away"
+            ))),
+            None => Ok(()),
         }
     }
 }
@@ -62,13 +67,15 @@ const GRACE: Duration = Duration::from_secs(10);
 pub struct Serving {
     hub: Arc<Hub>,
     server: Option<Server>,
+    /// Whether the page is to be opened in the browser.
+    opens: bool,
 }
 
 impl Serving {
     /// Serves a hub.
     pub fn start(arguments: &ServeArguments, hub: Arc<Hub>, offer: Offer) -> Result<Self> {
         let Some(address) = arguments.serve else {
-            return Ok(Self { hub, server: None });
+            return Ok(Self { hub, server: None, opens: false });
         };
         let token = match &arguments.token {
             Some(token)
@@ -82,7 +89,7 @@ impl Serving {
         };
         let options = ServerOptions { token, folder: Some(offer.folder), files: offer.files };
         let server = Server::start(address, Arc::clone(&hub), options)?;
-        Ok(Self { hub, server: Some(server) })
+        Ok(Self { hub, server: Some(server), opens: arguments.open })
     }
 
     /// The hub.
@@ -90,10 +97,15 @@ impl Serving {
         &self.hub
     }
 
-    /// Prints the addresses of the page, one per line, the first with `more` at its end.
-    pub fn print_address(&self, more: &str) {
+    /// Prints the addresses of the page unless `quiet`, one per line, the first with `more` at its
+    /// end. Opens the page if that is asked for.
+    pub fn show_address(&self, more: &str, quiet: bool) {
         let Some(server) = &self.server else { return };
-        for (number, url) in server.urls_at(&address::reachable(server.address())).iter().enumerate() {
+        let urls = server.urls_at(&address::reachable(server.address()));
+        if let Some(url) = urls.last().filter(|_| self.opens) {
+            OpeningBrowser::at(url);
+        }
+        for (number, url) in urls.iter().enumerate().filter(|_| !quiet) {
             console::note(&match number {
                 0 => format!("look at {url}{more}"),
                 _ => format!("or at {url}"),

@@ -9,6 +9,7 @@ mod summary;
 
 use super::frame_selection::FrameTimes;
 use super::site::SiteLinkArguments;
+use crate::browser::OpeningBrowser;
 use crate::{Outcome, console, files};
 use console_observer::Progress;
 pub use console_observer::{ConsoleObserver, LogArguments};
@@ -121,6 +122,9 @@ pub struct RunArguments {
     /// with the reason where it was lost. Results do not depend on it.
     #[arg(help_heading = "Results", long, value_name = "FILE")]
     pub video_out: Option<PathBuf>,
+    /// Open the report in the browser of this machine at the end.
+    #[arg(help_heading = "Results", long)]
+    pub open: bool,
     #[command(flatten)]
     pub site: SiteLinkArguments,
     #[command(flatten)]
@@ -341,7 +345,11 @@ pub fn run(arguments: RunArguments) -> Result<Outcome> {
     }
     if let Some(recordings) = recordings {
         print_folder();
-        return many::run(&recordings, &arguments, &folder);
+        let outcome = many::run(&recordings, &arguments, &folder);
+        if arguments.open && outcome.is_ok() {
+            OpeningBrowser::at(folder.join("results.html")).wait();
+        }
+        return outcome;
     }
     let builder = arguments.builder(arguments.source(), &folder)?;
     arguments.mounted.setup.question(quiet);
@@ -369,9 +377,13 @@ fn follow(
              measures the lens",
         );
     }
+    let browser = arguments.open.then(|| OpeningBrowser::at(folder.join("report.html")));
     let map = builder.map_file().map_or_else(|| folder.join("map.gpkg"), Path::to_owned);
     if let Some(link) = arguments.site.start(&map, folder, quiet)? {
         link.finish(quiet);
+    }
+    if let Some(browser) = browser {
+        browser.wait();
     }
     Ok(outcome.end.into())
 }

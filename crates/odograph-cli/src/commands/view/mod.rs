@@ -55,9 +55,7 @@ pub fn view(arguments: ViewArguments) -> Result<Outcome> {
     if let Some(unfinished) = UnfinishedRun::in_folder(shown).filter(|_| !arguments.quiet) {
         console::note(&format!("{} {}", shown.display(), unfinished.description(shown)));
     }
-    if !arguments.quiet {
-        serving.print_address(" (Ctrl-C ends)");
-    }
+    serving.show_address(" (Ctrl-C ends)", arguments.quiet);
     serving.stay();
     ended.store(true, Ordering::Relaxed);
     Ok(Outcome::Done)
