@@ -71,6 +71,7 @@ pub use contents::{Contents, Gap, Stream, StreamUse};
 pub use frame::{Frame, Picture};
 pub use inspection::inspect;
 pub use pipe::end_waiting;
+pub use pictures::picture_fixes;
 pub use recorded_camera::RecordedCamera;
 pub use regular_file::{check_regular_file, read_regular_file};
 pub use samples::SampleLayout;

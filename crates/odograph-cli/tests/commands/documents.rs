@@ -20,7 +20,7 @@ use std::path::{Path, PathBuf};
 use std::process::{Child, Command, Output, Stdio};
 
 /// Commands that are not run: how they begin, or a word in them, and why.
-const NOT_RUN: [(&str, &str); 20] = [
+const NOT_RUN: [(&str, &str); 22] = [
     ("cargo ", "builds from source; the tests, the gate and the harness of kills are run by CI"),
     ("bash .ci/run", "is CI itself"),
     ("crates/odograph-ros2/tests/run ", "needs Cyclone DDS; .ci/run does it where asked"),
@@ -39,6 +39,8 @@ const NOT_RUN: [(&str, &str); 20] = [
     ("board.mcap", "needs a robot's recording of a board"),
     ("charuco:12x9:40mm", "its pictures have the name of those of another board"),
     ("--gnss-start", "needs the log of a receiver"),
+    ("DJI_0001.SRT", "needs the recording of a drone"),
+    ("--gnss stills/", "needs the pictures of a drone"),
     ("floor*.jpg --board chessboard:9x6:40mm", "its pictures have the name of those of another board"),
     ("odograph demo", "CI runs it, and it is the only one that takes a minute"),
 ];

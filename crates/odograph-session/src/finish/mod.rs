@@ -7,7 +7,7 @@ mod improvement;
 mod smoothing;
 mod statistics;
 
-use crate::earth::{self, GnssRecord, OnEarth, RECEIVED_FIXES};
+use crate::earth::{self, Antenna, FOUND_RIG, GnssRecord, OnEarth, RECEIVED_FIXES};
 use crate::folder::{OutputFolder, RUN_FILES};
 use crate::found::{FoundLens, FoundReadout};
 use crate::kept_frames::KeptFrames;
@@ -337,11 +337,25 @@ impl Finishing<'_> {
         let place = on_earth.as_ref().and_then(|on_earth| on_earth.place.as_ref());
         earth::write(self.folder, place, summaries)?;
         Ok(on_earth)
+        self.write_found_rig(&improved.antenna)?;
     }
 
     /// The mosaic, the map and the page.
     fn draw(
         &mut self,
+    /// The rig file with the antenna that was found. One of an earlier run that is the input of this
+    /// one is kept.
+    fn write_found_rig(&mut self, antenna: &Antenna) -> Result<()> {
+        if let Some(found) = antenna.found_rig(&self.plan.rig) {
+            return self.folder.write(FOUND_RIG, found.as_bytes());
+        }
+        let there = files::read_text(&self.folder.path().join(FOUND_RIG));
+        match there.is_ok_and(|text| antenna.is_stated_by(&text)) {
+            true => Ok(()),
+            false => self.folder.remove(FOUND_RIG),
+        }
+    }
+
         corrected: Option<&mut KeptFrames>,
         frames: &[FrameSummary],
         sensors: &[SensorReport],
