@@ -5,20 +5,26 @@ use exif::{DateTime, Exif, In, Reader, Tag, Value};
 use odograph::geometry::EarthPosition;
 use odograph::georeference::GnssFix;
 use std::fs::File;
-use std::io::{BufReader, Cursor};
+use std::io::{BufRead, BufReader, Cursor, Seek};
 use std::path::Path;
 
 /// Seconds since 1970 by the camera's clock (without time zone), from `DateTimeOriginal` and its
 /// fraction.
 pub(super) fn time_of_file(path: &Path) -> Option<f64> {
-    let exif = Reader::new().read_from_container(&mut BufReader::new(File::open(path).ok()?)).ok()?;
-    time(&exif)
+    time(&read(&mut BufReader::new(File::open(path).ok()?))?)
+}
+
+/// The EXIF data of a file: as far as they can be read, because some programs end a list of fields
+/// without saying that none follows.
+fn read(file: &mut (impl BufRead + Seek)) -> Option<Exif> {
+    let read = Reader::new().continue_on_error(true).read_from_container(file);
+    read.or_else(|error| error.distill_partial_result(|_| ())).ok()
 }
 
 /// Orientation of an image whose file is in memory.
 pub(super) fn orientation(file: &[u8]) -> Orientation {
-    let exif = Reader::new().read_from_container(&mut Cursor::new(file));
-    let value = exif.ok().and_then(|e| e.get_field(Tag::Orientation, In::PRIMARY)?.value.get_uint(0));
+    let value = read(&mut Cursor::new(file))
+        .and_then(|e| e.get_field(Tag::Orientation, In::PRIMARY)?.value.get_uint(0));
     value.map_or(Orientation::default(), Orientation::from_exif)
 }
 
@@ -28,7 +34,7 @@ pub(super) fn orientation(file: &[u8]) -> Orientation {
 /// Its standard deviation is what drones with corrections write (`RtkStdLon`, `RtkStdLat`), or
 /// `GPSHPositioningError`, or follows from `GPSDOP`; otherwise it is the usual one.
 pub(super) fn fix(file: &[u8]) -> Option<GnssFix> {
-    let exif = Reader::new().read_from_container(&mut Cursor::new(file)).ok()?;
+    let exif = read(&mut Cursor::new(file))?;
     let angle_deg = |angle: Tag, of: Tag, negative: u8| {
         let Value::Rational(parts) = &exif.get_field(angle, In::PRIMARY)?.value else { return None };
         let &[degrees, minutes, seconds] = parts.as_slice() else { return None };

@@ -190,7 +190,14 @@ fn exif_times_are_used_if_all_images_have_one() {
     // 2024-05-06 07:08:09 UTC
     assert!((frames[0].time_s - 1_714_979_289.25).abs() < 1e-6, "{}", frames[0].time_s);
 
-    fs::write(folder.path().join("4.jpg"), include_bytes!("../data/ramp.jpg")).unwrap();
+    // A list of fields that does not end as it should.
+    let mut unended = jpeg_taken(13, "");
+    unended[64..68].copy_from_slice(b"2024");
+    fs::write(folder.path().join("4.jpg"), unended).unwrap();
+    let (frames, warnings) = read(folder.path(), &SourceOptions::default()).unwrap();
+    assert!(warnings.is_empty() && (frames[3].time_s - frames[0].time_s - 3.75).abs() < 1e-6, "{warnings:?}");
+
+    fs::write(folder.path().join("5.jpg"), include_bytes!("../data/ramp.jpg")).unwrap();
     let (_, warnings) = read(folder.path(), &SourceOptions::default()).unwrap();
     assert!(warnings[0].contains("are assumed"), "{warnings:?}");
 }
