@@ -299,13 +299,38 @@ pub fn antenna_path(
     of: &PoseFrames,
     antenna: &Antenna,
 ) -> Result<Vec<AntennaPosition>> {
-    let mut path = Vec::with_capacity(frames.posed());
+    let mut path: Vec<AntennaPosition> = Vec::with_capacity(frames.posed());
+    let mut follows = false;
     frames.each(|frame, _| {
-        path.extend(antenna_position(frame, of, antenna));
+        let at = antenna_position(frame, of, antenna);
+        if let (Some(before), Some(at), true) = (path.last().copied(), at, follows) {
+            path.extend(between(&before, &at));
+        }
+        path.extend(at);
+        follows = at.is_some();
         Ok(())
     })?;
     Ok(path)
 }
+
+/// Positions between those of two frames that follow each other, where these are farther apart than
+/// a path is interpolated, as pictures that are taken one by one are.
+fn between(before: &AntennaPosition, after: &AntennaPosition) -> Vec<AntennaPosition> {
+    let steps = ((after.time_s - before.time_s) / AntennaPosition::LONGEST_STEP_S).ceil();
+    if before.segment != after.segment || !(2.0..=LONGEST_STEPS).contains(&steps) {
+        return Vec::new();
+    }
+    let at = |share: f64| AntennaPosition {
+        time_s: before.time_s + share * (after.time_s - before.time_s),
+        position_m: before.position_m.lerp(&after.position_m, share),
+        heading_rad: before.heading_rad + share * (after.heading_rad - before.heading_rad),
+        ..*after
+    };
+    (1..steps as u32).map(|step| at(f64::from(step) / steps)).collect()
+}
+
+/// Number of steps between frames above which the positions between them say nothing.
+const LONGEST_STEPS: f64 = 10.0;
 
 /// The path of the antenna in the odometry frame, each position with the keyframe that its frame
 /// was measured against and its covariance from there.
@@ -314,15 +339,19 @@ pub fn measured_path(
     of: &PoseFrames,
     antenna: &Antenna,
 ) -> Result<Vec<(AntennaPosition, KeyframeId)>> {
-    let mut path = Vec::with_capacity(frames.posed());
+    let mut path: Vec<(AntennaPosition, KeyframeId)> = Vec::with_capacity(frames.posed());
+    let mut follows = false;
     frames.each(|frame, reference| {
-        if let Some((known, reference)) = frame.estimate.as_ref().zip(reference) {
+        let known = frame.estimate.as_ref().zip(reference).zip(antenna_position(frame, of, antenna));
+        let at = known.map(|((known, reference), at)| {
             let own = known.measured.covariance.fixed_view::<2, 2>(0, 0).into_owned();
-            path.extend(
-                antenna_position(frame, of, antenna)
-                    .map(|at| (AntennaPosition { covariance_m2: own, ..at }, reference.keyframe)),
-            );
+            (AntennaPosition { covariance_m2: own, ..at }, reference.keyframe)
+        });
+        if let (Some(before), Some((at, keyframe)), true) = (path.last().copied(), at, follows) {
+            path.extend(between(&before.0, &at).into_iter().map(|between| (between, keyframe)));
         }
+        path.extend(at);
+        follows = at.is_some();
         Ok(())
     })?;
     Ok(path)

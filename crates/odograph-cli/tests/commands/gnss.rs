@@ -195,6 +195,31 @@ fn the_subtitles_of_a_drone_place_the_path_on_earth() {
 }
 
 #[test]
+fn positions_of_pictures_that_are_taken_one_by_one_are_used() {
+    let drive = Drive::new();
+    let here = drive.here();
+    // The frames as pictures, one in two seconds.
+    let slow: String = drive
+        .csv()
+        .lines()
+        .map(|line| match line.split_once(',') {
+            Some((time_s, rest)) if !time_s.starts_with('t') => {
+                format!("{:.6},{rest}\n", 30.0 * time_s.parse::<f64>().unwrap())
+            }
+            _ => format!("{line}\n"),
+        })
+        .collect();
+    fs::write(here.join("slow.csv"), slow).unwrap();
+    done(
+        here,
+        "run sim/frames --fps 0.5 --camera sim/camera.yaml --rig armed.toml --gnss slow.csv -o slow --quiet",
+    );
+    let gnss = &drive.statistics("slow")["gnss"];
+    let [fixes, used] = ["fixes", "used"].map(|name| gnss[name].as_f64().unwrap());
+    assert!(used > 0.85 * fixes, "{gnss}");
+}
+
+#[test]
 fn an_antenna_that_was_found_is_written_for_the_next_run() {
     let drive = Drive::new();
     let here = drive.here();
