@@ -1,6 +1,6 @@
-//! The mosaic as a cloud-optimised GeoTIFF (OGC 19-008, OGC 21-026): its directories first, then the
-//! overviews, the coarsest first, then the picture. Overviews and their tiles are the levels and the
-//! tiles of the mosaic in the map; no more than one tile is in memory.
+//! The mosaic as a cloud-optimised GeoTIFF (OGC 19-008, OGC 21-026): its directories first, then
+//! the overviews, the coarsest first, then the picture. Overviews and their tiles are the levels
+//! and the tiles of the mosaic in the map; no more than one tile is in memory.
 
 mod directory;
 
@@ -90,7 +90,7 @@ impl MapFile {
                 .map_err(broken)?;
             let at = (row * columns + column) as usize;
             let length = compressed.len() as u32;
-            // As the layout says: its length before a tile, and its last four bytes again behind it.
+            // As the layout says: its length before a tile, its last four bytes again behind it.
             output.write_all(&length.to_le_bytes()).map_err(broken)?;
             index.offsets[at] = output.stream_position().map_err(broken)?;
             index.lengths[at] = length;

@@ -343,8 +343,8 @@ impl Finishing<'_> {
         Ok(on_earth)
     }
 
-    /// The rig file with the antenna that was found. One of an earlier run that is the input of this
-    /// one is kept.
+    /// The rig file with the antenna that was found. One of an earlier run that is the input of
+    /// this one is kept.
     fn write_found_rig(&mut self, antenna: &Antenna) -> Result<()> {
         if let Some(found) = antenna.found_rig(&self.plan.rig) {
             return self.folder.write(FOUND_RIG, found.as_bytes());
