@@ -34,10 +34,6 @@ pub fn svg(title: &str, evaluation: &Evaluation, truth: &Trajectory) -> String {
         evaluation.absolute.translation.rmse, evaluation.absolute.translation.max, evaluation.truth_length_m
     );
     draw_paths(&mut out, &view, evaluation, "truth");
-    let since = match evaluation.pairs.first().map_or(0.0, |pair| pair.time_s) {
-        0.0 => String::new(),
-        start_s => format!(", 0 is {start_s:.3} s"),
-    };
     let degrees: Vec<f64> = evaluation.absolute.rotation_rad.iter().map(|angle| angle.to_degrees()).collect();
     let position_m = &evaluation.absolute.translation_m;
     draw_errors(
@@ -58,25 +54,45 @@ pub fn svg(title: &str, evaluation: &Evaluation, truth: &Trajectory) -> String {
     );
     let _ = writeln!(
         out,
-        "<text x=\"{}\" y=\"{}\" text-anchor=\"middle\">time (s){since}</text>",
+        "<text x=\"{}\" y=\"{}\" text-anchor=\"middle\">time (s){}</text>",
         0.5 * (LEFT + RIGHT),
-        height - 14.0
+        height - 14.0,
+        since(evaluation)
     );
     out.push_str("</svg>\n");
     out
 }
 
-/// Only the paths, from above: an SVG element that fits into a page.
-pub fn from_above(evaluation: &Evaluation, truth: &Trajectory) -> String {
+/// The paths, from above, and below them their distance over time: an SVG element that fits into a
+/// page.
+pub fn in_page(evaluation: &Evaluation, truth: &Trajectory) -> String {
     let view = PlotView::along(evaluation, truth, |_| (0, 1));
-    let (top, height) = (TOP - 10.0, view.bottom - TOP + 60.0);
+    let below = view.bottom + 60.0;
+    let (top, height) = (TOP - 10.0, below + 160.0 - TOP + 60.0);
     let mut out = format!(
         "<svg xmlns=\"http://www.w3.org/2000/svg\" viewBox=\"0 {top} {WIDTH} {height}\" font-family=\"sans-serif\" font-size=\"13\" fill=\"#222222\">\n\
          <rect y=\"{top}\" width=\"100%\" height=\"100%\" fill=\"#ffffff\"/>\n"
     );
     draw_paths(&mut out, &view, evaluation, "reference");
+    let position_m = &evaluation.absolute.translation_m;
+    draw_errors(&mut out, (below, below + 160.0), "distance (m)", ESTIMATE, &evaluation.pairs, position_m);
+    let _ = writeln!(
+        out,
+        "<text x=\"{}\" y=\"{}\" text-anchor=\"middle\">time (s){}</text>",
+        0.5 * (LEFT + RIGHT),
+        below + 196.0,
+        since(evaluation)
+    );
     out.push_str("</svg>\n");
     out
+}
+
+/// What moment the zero of the time axis is, where it is not that of the times.
+fn since(evaluation: &Evaluation) -> String {
+    match evaluation.pairs.first().map_or(0.0, |pair| pair.time_s) {
+        0.0 => String::new(),
+        start_s => format!(", 0 is {start_s:.3} s"),
+    }
 }
 
 /// A range of values on a line of the drawing.

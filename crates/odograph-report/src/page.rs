@@ -259,7 +259,7 @@ fn beside(reference: Option<&ComparedReference>, page: &mut String) {
         rmse,
         median,
         max,
-        evaluation_plot::from_above(evaluation, &reference.reference)
+        evaluation_plot::in_page(evaluation, &reference.reference)
     );
 }
 

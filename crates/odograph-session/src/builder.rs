@@ -52,6 +52,7 @@ pub struct RunBuilder {
     pub(crate) budget_ms: Option<f64>,
     pub(crate) loops: bool,
     pub(crate) reference: Option<PathBuf>,
+    pub(crate) reference_topic: Option<String>,
     pub(crate) output: RunOutput,
     pub(crate) reporter: Option<Arc<dyn RunReporter>>,
 }
@@ -91,6 +92,7 @@ impl RunBuilder {
             budget_ms: None,
             loops: true,
             reference: None,
+            reference_topic: None,
             output: RunOutput::default(),
             reporter: None,
         }
@@ -230,6 +232,13 @@ impl RunBuilder {
     #[must_use]
     pub fn reference(mut self, path: impl Into<PathBuf>) -> Self {
         self.reference = Some(path.into());
+        self
+    }
+
+    /// Reference trajectory from a topic of the robot recording, in place of a file.
+    #[must_use]
+    pub fn reference_topic(mut self, topic: impl Into<String>) -> Self {
+        self.reference_topic = Some(topic.into());
         self
     }
 

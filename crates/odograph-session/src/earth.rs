@@ -8,11 +8,12 @@ use crate::kept_frames::KeptFrames;
 use crate::plan::RunPlan;
 use crate::sensors::SensorFiles;
 use nalgebra::{Matrix2, Point3, Rotation2, Vector2};
-use odograph::camera::LeverArm;
+use odograph::camera::{LeverArm, Rig};
 use odograph::error::{Error, Result};
 use odograph::formats::decimal::Rounded;
 use odograph::formats::geojson::{self, Feature};
 use odograph::formats::gnss_file;
+use odograph::formats::rig_file;
 use odograph::geometry::EarthPosition;
 use odograph::georeference::{AntennaPosition, FixUse, Georeference, GnssFix, georeference};
 use odograph::keyframe::KeyframeId;
@@ -28,6 +29,9 @@ pub const UTM_MOSAIC: &str = "mosaic-utm.tif";
 
 /// The positions that a receiver sent during a live run, which are nowhere else.
 pub const RECEIVED_FIXES: &str = "gnss-received.csv";
+
+/// The rig file with the antenna, where the positions show where it is.
+pub const FOUND_RIG: &str = "rig-found.toml";
 
 /// Largest size of a file of fixes, bytes: weeks of NMEA at ten a second.
 const MAX_BYTES: u64 = 256 << 20;
@@ -64,8 +68,36 @@ impl Antenna {
         let [ahead_m, left_m, sigma_m] = [at_m.x, at_m.y, sigma_m].map(Rounded);
         Some(format!(
             "by {name} the antenna is {ahead_m:.3} m ahead and {left_m:.3} m to the left (± {sigma_m:.3} m) of what moves \
-             along the path: that was used; gnss_lever_arm_m in a rig file states it"
+             along the path: that was used, and is in {FOUND_RIG}, to be given as --rig"
         ))
+    }
+
+    /// A rig file with the antenna where it was found; `None` where it was not.
+    pub fn found_rig(&self, rig: &Rig) -> Option<String> {
+        let (at_m, sigma_m) = self.found_m?;
+        // The camera's axes are turned by its yaw against those of the robot.
+        let (at_m, base_link) = match rig.lever_arm {
+            Some(_) => (at_m, ""),
+            None => (
+                Rotation2::new(rig.yaw_rad) * at_m,
+                "base_link is taken to be on the ground below the camera. ",
+            ),
+        };
+        let below = LeverArm { x_m: 0.0, y_m: 0.0, z_m: rig.height_m };
+        let rig = Rig { lever_arm: rig.lever_arm.or(Some(below)), ..*rig };
+        Some(format!(
+            "{}# {base_link}The antenna by its positions, ± {:.3} m; its height is not known.\n\
+             gnss_lever_arm_m = [{:.4}, {:.4}, 0.0]\n",
+            rig_file::write(&rig),
+            Rounded(sigma_m),
+            Rounded(at_m.x),
+            Rounded(at_m.y)
+        ))
+    }
+
+    /// Whether a rig file of an earlier run is the one that states it.
+    pub fn is_stated_by(&self, rig_text: &str) -> bool {
+        self.stated.is_some() && rig_file::parse_antenna(rig_text).is_ok_and(|stated| stated == self.stated)
     }
 }
 
@@ -85,6 +117,11 @@ impl GnssRecord {
     pub fn read(sensors: &SensorFiles, recording: &str, warnings: &mut Vec<String>) -> Result<Option<Self>> {
         let start_s = sensors.gnss_start.as_deref().map(start_s).transpose()?;
         let (name, mut fixes) = match (&sensors.gnss, &sensors.gnss_topic) {
+            (Some(path), _) if path.is_dir() => {
+                let (fixes, found) = odograph_video::picture_fixes(path)?;
+                warnings.extend(found);
+                (path.display().to_string(), fixes)
+            }
             (Some(path), _) => {
                 let text = files::read_text_within(path, MAX_BYTES)?;
                 let fixes = gnss_file::parse(&text).map_err(|error| error.at(path.display()))?;
@@ -262,13 +299,38 @@ pub fn antenna_path(
     of: &PoseFrames,
     antenna: &Antenna,
 ) -> Result<Vec<AntennaPosition>> {
-    let mut path = Vec::with_capacity(frames.posed());
+    let mut path: Vec<AntennaPosition> = Vec::with_capacity(frames.posed());
+    let mut follows = false;
     frames.each(|frame, _| {
-        path.extend(antenna_position(frame, of, antenna));
+        let at = antenna_position(frame, of, antenna);
+        if let (Some(before), Some(at), true) = (path.last().copied(), at, follows) {
+            path.extend(between(&before, &at));
+        }
+        path.extend(at);
+        follows = at.is_some();
         Ok(())
     })?;
     Ok(path)
 }
+
+/// Positions between those of two frames that follow each other, where these are farther apart than
+/// a path is interpolated, as pictures that are taken one by one are.
+fn between(before: &AntennaPosition, after: &AntennaPosition) -> Vec<AntennaPosition> {
+    let steps = ((after.time_s - before.time_s) / AntennaPosition::LONGEST_STEP_S).ceil();
+    if before.segment != after.segment || !(2.0..=LONGEST_STEPS).contains(&steps) {
+        return Vec::new();
+    }
+    let at = |share: f64| AntennaPosition {
+        time_s: before.time_s + share * (after.time_s - before.time_s),
+        position_m: before.position_m.lerp(&after.position_m, share),
+        heading_rad: before.heading_rad + share * (after.heading_rad - before.heading_rad),
+        ..*after
+    };
+    (1..steps as u32).map(|step| at(f64::from(step) / steps)).collect()
+}
+
+/// Number of steps between frames above which the positions between them say nothing.
+const LONGEST_STEPS: f64 = 10.0;
 
 /// The path of the antenna in the odometry frame, each position with the keyframe that its frame
 /// was measured against and its covariance from there.
@@ -277,15 +339,19 @@ pub fn measured_path(
     of: &PoseFrames,
     antenna: &Antenna,
 ) -> Result<Vec<(AntennaPosition, KeyframeId)>> {
-    let mut path = Vec::with_capacity(frames.posed());
+    let mut path: Vec<(AntennaPosition, KeyframeId)> = Vec::with_capacity(frames.posed());
+    let mut follows = false;
     frames.each(|frame, reference| {
-        if let Some((known, reference)) = frame.estimate.as_ref().zip(reference) {
+        let known = frame.estimate.as_ref().zip(reference).zip(antenna_position(frame, of, antenna));
+        let at = known.map(|((known, reference), at)| {
             let own = known.measured.covariance.fixed_view::<2, 2>(0, 0).into_owned();
-            path.extend(
-                antenna_position(frame, of, antenna)
-                    .map(|at| (AntennaPosition { covariance_m2: own, ..at }, reference.keyframe)),
-            );
+            (AntennaPosition { covariance_m2: own, ..at }, reference.keyframe)
+        });
+        if let (Some(before), Some((at, keyframe)), true) = (path.last().copied(), at, follows) {
+            path.extend(between(&before.0, &at).into_iter().map(|between| (between, keyframe)));
         }
+        path.extend(at);
+        follows = at.is_some();
         Ok(())
     })?;
     Ok(path)

@@ -22,7 +22,7 @@ use std::path::{Path, PathBuf};
 pub const MAP_FILE: &str = "map.gpkg";
 
 /// Every file that a run writes.
-pub const RUN_FILES: [&str; 19] = [
+pub const RUN_FILES: [&str; 20] = [
     "odometry.tum",
     MAP_FILE,
     "trajectory.tum",
@@ -40,6 +40,7 @@ pub const RUN_FILES: [&str; 19] = [
     "report.html",
     "run.toml",
     "camera-found.yaml",
+    "rig-found.toml",
     "mask.png",
     "stats.json",
 ];

@@ -23,6 +23,9 @@ pub struct RunPlan {
     /// Reference trajectory for the report; it changes no result.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub reference: Option<PathBuf>,
+    /// The topic of the recording that has it, where no file does.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub reference_topic: Option<String>,
     /// Which frames are taken from where.
     pub source: SourcePlan,
     /// The camera.

@@ -65,6 +65,7 @@ impl RunBuilder {
         let plan = RunPlan {
             odograph: env!("CARGO_PKG_VERSION").to_owned(),
             reference: self.reference.clone(),
+            reference_topic: self.reference_topic.clone(),
             source: self.source.clone(),
             camera,
             rig,

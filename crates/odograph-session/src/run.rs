@@ -13,7 +13,7 @@ use crate::passes::{assume, calibration_of, examine_beginning};
 use crate::pipeline::{self, Tracked};
 use crate::plan::RunPlan;
 use crate::recalibrated_odometry::RecalibratedOdometry;
-use crate::reference;
+use crate::reference::ReferencePath;
 use crate::report::RunReporter;
 use odograph::error::{Error, Result};
 use odograph::self_calibration::MultiPassCalibration;
@@ -167,7 +167,7 @@ impl Run {
         let sensors = plan.sensors.read(&plan.source.path, &mut warnings)?;
         let gnss = GnssRecord::read(&plan.sensors, &plan.source.path, &mut warnings)?;
         // Unreadable inputs are reported before tracking.
-        reference::read(&plan)?;
+        let reference = ReferencePath::read(&plan, &mut warnings)?;
         let description = source.info().description.clone();
         let mut tracked = track(&mut plan, source, &mut folder, &output, reporter.as_deref(), observer)?;
         // Of damage every topic that is read tells.
@@ -180,6 +180,7 @@ impl Run {
             description: &description,
             sensors: &sensors,
             gnss: gnss.as_ref(),
+            reference: reference.as_ref(),
             output: &output,
             reporter: reporter.as_deref(),
             observer,

@@ -24,7 +24,8 @@ pub struct SensorFiles {
     /// Range finder: time_s and height_m, or distance_m along the optical axis.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub range: Option<PathBuf>,
-    /// Satellite receiver: CSV, NMEA 0183 or GPX.
+    /// Satellite receiver: CSV, NMEA 0183, GPX, the subtitles of a drone, or a folder of pictures
+    /// with positions.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub gnss: Option<PathBuf>,
     /// Topic of the gyroscope: sensor_msgs/Imu.

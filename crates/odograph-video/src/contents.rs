@@ -67,6 +67,8 @@ pub enum StreamUse {
     Range,
     /// Positions on Earth.
     Gnss,
+    /// A path to compare with.
+    Path,
     /// Nothing.
     Nothing,
 }

@@ -62,7 +62,8 @@ pub use arrival_clock::ArrivalClock;
 pub use avi_writer::{AviFormat, AviWriter, jpeg_picture};
 pub use bag::{
     LiveMessage, LiveTopic, LiveTransforms, RecordedMount, RecordedTransforms, is_recording_folder,
-    is_robot_recording, recorded_antenna, recorded_camera, recorded_fixes, recorded_mount, recorded_sensor,
+    is_robot_recording, recorded_antenna, recorded_camera, recorded_fixes, recorded_mount, recorded_path,
+    recorded_sensor,
 };
 pub use bayer::BayerPattern;
 #[cfg(fuzzing)]
@@ -70,6 +71,7 @@ pub use codec::read_parameter_sets;
 pub use contents::{Contents, Gap, Stream, StreamUse};
 pub use frame::{Frame, Picture};
 pub use inspection::inspect;
+pub use pictures::picture_fixes;
 pub use pipe::end_waiting;
 pub use recorded_camera::RecordedCamera;
 pub use regular_file::{check_regular_file, read_regular_file};

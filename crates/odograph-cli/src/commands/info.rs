@@ -119,6 +119,7 @@ fn option(stream: &Stream) -> Option<String> {
         StreamUse::Wheel => Some(format!("--wheel-topic {topic}")),
         StreamUse::Range => Some(format!("--range-topic {topic}")),
         StreamUse::Gnss => Some(format!("--gnss-topic {topic}")),
+        StreamUse::Path => Some(format!("--reference-topic {topic}")),
         StreamUse::OtherImages | StreamUse::CameraInfo | StreamUse::Nothing => None,
     }
     .filter(|_| usable)
@@ -275,7 +276,10 @@ fn notes(
             "images of depth, or of an encoding that is not read; a run needs gray or colour".to_owned(),
         ),
         (StreamUse::CameraInfo, _) => notes.push("a camera".to_owned()),
-        (StreamUse::Gyro | StreamUse::Wheel | StreamUse::Range | StreamUse::Gnss, Some(option)) => {
+        (
+            StreamUse::Gyro | StreamUse::Wheel | StreamUse::Range | StreamUse::Gnss | StreamUse::Path,
+            Some(option),
+        ) => {
             notes.push(format!("odograph run … {option}"));
         }
         _ => {}

@@ -166,12 +166,26 @@ fn write(path: &Path, topics: &[&str]) {
     write_robot(path, topics, &[], &[]);
 }
 
+/// A topic with a message for each frame.
+type Record<'a> = (&'a str, &'a str, Vec<Vec<u8>>);
+
 /// The same with static transforms, and with positions of a satellite receiver at the frames.
 pub fn write_robot(
     path: &Path,
     topics: &[&str],
     on_robot: &[(&str, &str, [f64; 7])],
     fixes: &[Option<EarthPosition>],
+) {
+    write_with(path, topics, on_robot, fixes, &[]);
+}
+
+/// The same with further topics.
+fn write_with(
+    path: &Path,
+    topics: &[&str],
+    on_robot: &[(&str, &str, [f64; 7])],
+    fixes: &[Option<EarthPosition>],
+    records: &[Record<'_>],
 ) {
     let file = std::io::BufWriter::new(fs::File::create(path).unwrap());
     let options = mcap::WriteOptions::new().compression(None).profile("ros2");
@@ -184,6 +198,7 @@ pub fn write_robot(
     let ranges = channel("/sonar", "sensor_msgs/msg/Range");
     let robot = (!on_robot.is_empty()).then(|| channel("/tf_static", "tf2_msgs/msg/TFMessage"));
     let receiver = (!fixes.is_empty()).then(|| channel("/gnss/fix", "sensor_msgs/msg/NavSatFix"));
+    let further: Vec<u16> = records.iter().map(|(name, kind, _)| channel(name, kind)).collect();
     let images: Vec<u16> = topics.iter().map(|name| channel(name, "sensor_msgs/msg/Image")).collect();
     for (number, view) in views(FRAMES).iter().enumerate() {
         let time_ns = time_ns(number);
@@ -199,6 +214,9 @@ pub fn write_robot(
         }
         if let (Some(receiver), Some(place)) = (receiver, fixes.get(number)) {
             put(receiver, fix(time_ns, *place));
+        }
+        for (&channel, (_, _, messages)) in further.iter().zip(records) {
+            put(channel, messages[number].clone());
         }
         put(infos, camera_info(time_ns));
         put(ranges, range(time_ns));
@@ -546,4 +564,60 @@ fn the_fixes_of_a_recording_place_its_path_on_earth() {
         message.contains("there is no topic /fix of the type sensor_msgs/NavSatFix for a satellite receiver"),
         "{message}"
     );
+}
+
+#[test]
+fn a_path_on_a_topic_is_compared_with_that_of_the_run() {
+    let place = tempfile::tempdir().unwrap();
+    let here = place.path();
+    write(&here.join("plain.mcap"), &["/front/image_raw"]);
+    done(here, "run plain.mcap --height 1.0 -o plain --quiet");
+    // The path of the run, ten times as large and turned by 90 degrees.
+    let seen = poses(&here.join("plain/trajectory.tum"));
+    let numbers: Vec<[f64; 7]> =
+        seen.iter().map(|p| [-10.0 * p[2], 10.0 * p[1], 3.0, 0.0, 0.0, 0.0, 1.0]).collect();
+    let stamped = |write: &dyn Fn(&mut Cdr, &[f64; 7])| {
+        let message = |(number, pose): (usize, &[f64; 7])| {
+            let mut message = Cdr::of(time_ns(number), "room");
+            write(&mut message, pose);
+            message.0
+        };
+        numbers.iter().enumerate().map(message).collect::<Vec<_>>()
+    };
+    let pose = stamped(&|message, pose| message.doubles(pose));
+    let odometry = stamped(&|message, pose| {
+        message.text("base_link");
+        message.doubles(pose);
+        message.doubles(&[0.0; 36 + 6 + 36]);
+    });
+    let elsewhere = [5.0, 5.0, 5.0, 0.0, 0.0, 0.0, 1.0];
+    let moving = numbers.iter().enumerate().map(|(number, pose)| {
+        transforms(time_ns(number), &[("map", "odom", elsewhere), ("odom", "robot1/base_link", *pose)])
+    });
+    let records = [
+        ("/room/pose", "geometry_msgs/msg/PoseStamped", pose),
+        ("/odom", "nav_msgs/msg/Odometry", odometry),
+        ("/tf", "tf2_msgs/msg/TFMessage", moving.collect()),
+    ];
+    write_with(&here.join("drive.mcap"), &["/front/image_raw"], &[], &[], &records);
+    let (listed, _) = done(here, "info drive.mcap");
+    assert!(listed.contains("--reference-topic /room/pose"), "{listed}");
+    for topic in ["/room/pose", "odom", "/tf"] {
+        let run =
+            format!("run drive.mcap --height 1.0 --reference-topic {topic} -o compared --force --quiet");
+        done(here, &run);
+        let page = fs::read_to_string(here.join("compared/report.html")).unwrap();
+        assert!(page.contains(&format!("Beside {topic}")), "{topic}");
+        assert!(page.contains("scale of the alignment is 10.000"), "{topic}");
+    }
+    // run.toml repeats it, and it changes no result.
+    done(here, "run compared/run.toml -o again --quiet");
+    assert!(fs::read_to_string(here.join("again/report.html")).unwrap().contains("Beside /tf"));
+    let [with, without] =
+        ["again", "plain"].map(|of| fs::read(here.join(of).join("trajectory.tum")).unwrap());
+    assert!(with == without);
+    let output = odograph(here, "run drive.mcap --height 1.0 --reference-topic /sonar -o refused");
+    let message = String::from_utf8_lossy(&output.stderr).into_owned();
+    assert!(message.contains("there is no topic /sonar of the type geometry_msgs/PoseStamped"), "{message}");
+    assert!(output.status.code() == Some(2) && !here.join("refused").exists(), "{message}");
 }

@@ -20,12 +20,13 @@ use std::path::{Path, PathBuf};
 use std::process::{Child, Command, Output, Stdio};
 
 /// Commands that are not run: how they begin, or a word in them, and why.
-const NOT_RUN: [(&str, &str); 20] = [
+const NOT_RUN: [(&str, &str); 23] = [
     ("cargo ", "builds from source; the tests, the gate and the harness of kills are run by CI"),
     ("bash .ci/run", "is CI itself"),
     ("crates/odograph-ros2/tests/run ", "needs Cyclone DDS; .ci/run does it where asked"),
     ("ros2:/", "needs a robot with ROS 2; crates/odograph-ros2 has its own tests"),
     ("ros2 run ", "needs an installation of ROS 2"),
+    ("podman ", "needs a container engine, and the images that it begins with"),
     ("pip ", "needs the index of Python's packages"),
     ("maturin ", "needs Python; CI builds the package"),
     ("python", "compares with other programs, which it needs"),
@@ -39,6 +40,8 @@ const NOT_RUN: [(&str, &str); 20] = [
     ("board.mcap", "needs a robot's recording of a board"),
     ("charuco:12x9:40mm", "its pictures have the name of those of another board"),
     ("--gnss-start", "needs the log of a receiver"),
+    ("DJI_0001.SRT", "needs the recording of a drone"),
+    ("--gnss stills/", "needs the pictures of a drone"),
     ("floor*.jpg --board chessboard:9x6:40mm", "its pictures have the name of those of another board"),
     ("odograph demo", "CI runs it, and it is the only one that takes a minute"),
 ];

@@ -7,7 +7,7 @@ use odograph::formats::rig_file;
 use odograph::formats::trajectory_file::parse_tum;
 use odograph::geometry::EarthPosition;
 use odograph::georeference::Anchor;
-use odograph::trajectory::Trajectory;
+use odograph::trajectory::{StampedPose, Trajectory};
 use odograph_video::SourceOptions;
 use serde_json::Value;
 use std::fs;
@@ -164,6 +164,88 @@ fn rtk_puts_the_path_on_earth_within_a_centimetre() {
     // A run that replaces it without a receiver has no place on Earth.
     drive.run("-o rtk --force --quiet");
     assert!(!here.join("rtk/trajectory.geojson").exists() && !here.join("rtk/mosaic-utm.tif").exists());
+}
+
+#[test]
+fn the_subtitles_of_a_drone_place_the_path_on_earth() {
+    let drive = Drive::new();
+    // The same frames, seen from 30 times as high.
+    let span = |time_s: f64| format!("00:00:{time_s:06.3}").replace('.', ",");
+    let cue = |pose: &StampedPose| {
+        let there = 30.0 * pose.world_from_camera.translation.vector;
+        let place = drive.anchor.place(there.x, there.y);
+        let (latitude, longitude) = (place.latitude_rad.to_degrees(), place.longitude_rad.to_degrees());
+        format!(
+            "1\n{} --> {}\n<font size=\"28\">FrameCnt: 1, DiffTime: 33ms\n2026-05-04 10:12:33.380\n[iso: 100] \
+             [latitude: {latitude:.6}] [longitude: {longitude:.6}] [rel_alt: 1.3 abs_alt: 180.5] </font>\n\n",
+            span(pose.time_s),
+            span(pose.time_s + 0.2)
+        )
+    };
+    let cues: Vec<String> = drive.truth.poses.iter().step_by(3).map(cue).collect();
+    fs::write(drive.here().join("DJI_0001.SRT"), cues.concat()).unwrap();
+    done(
+        drive.here(),
+        "run sim/frames --timestamps sim/frames.txt --camera sim/camera.yaml --height 22.5 --gnss DJI_0001.SRT \
+         -o drone --quiet",
+    );
+    let gnss = &drive.statistics("drone")["gnss"];
+    assert!(gnss["fixes"] == cues.len() && gnss["used"].as_u64().unwrap() + 3 > cues.len() as u64, "{gnss}");
+    assert!(gnss["rmse_m"].as_f64().unwrap() < 0.2, "{gnss}");
+}
+
+#[test]
+fn positions_of_pictures_that_are_taken_one_by_one_are_used() {
+    let drive = Drive::new();
+    let here = drive.here();
+    // The frames as pictures, one in two seconds.
+    let slow: String = drive
+        .csv()
+        .lines()
+        .map(|line| match line.split_once(',') {
+            Some((time_s, rest)) if !time_s.starts_with('t') => {
+                format!("{:.6},{rest}\n", 30.0 * time_s.parse::<f64>().unwrap())
+            }
+            _ => format!("{line}\n"),
+        })
+        .collect();
+    fs::write(here.join("slow.csv"), slow).unwrap();
+    done(
+        here,
+        "run sim/frames --fps 0.5 --camera sim/camera.yaml --rig armed.toml --gnss slow.csv -o slow --quiet",
+    );
+    let gnss = &drive.statistics("slow")["gnss"];
+    let [fixes, used] = ["fixes", "used"].map(|name| gnss[name].as_f64().unwrap());
+    assert!(used > 0.85 * fixes, "{gnss}");
+}
+
+#[test]
+fn an_antenna_that_was_found_is_written_for_the_next_run() {
+    let drive = Drive::new();
+    let here = drive.here();
+    fs::write(here.join("rtk.csv"), drive.csv()).unwrap();
+    let armed = fs::read_to_string(here.join("armed.toml")).unwrap();
+    let unknown: String =
+        armed.lines().filter(|line| !line.starts_with("gnss")).map(|line| format!("{line}\n")).collect();
+    fs::write(here.join("armed.toml"), unknown).unwrap();
+    let message = drive.run("--gnss rtk.csv -o found");
+    assert!(message.contains("is in rig-found.toml"), "{message}");
+    let found = fs::read_to_string(here.join("found/rig-found.toml")).unwrap();
+    let arm = rig_file::parse_antenna(&found).unwrap().unwrap();
+    let stated_m = found.split("± ").nth(1).unwrap().split(' ').next().unwrap().parse::<f64>().unwrap();
+    assert!((0.001..0.05).contains(&stated_m), "{found}");
+    assert!((arm.x_m - ANTENNA[0]).hypot(arm.y_m - ANTENNA[1]) < 4.0 * stated_m, "{found}");
+    let again = "run sim/frames --timestamps sim/frames.txt --camera sim/camera.yaml --gnss rtk.csv";
+    let message = done(here, &format!("{again} --rig found/rig-found.toml -o found --force"));
+    assert!(!message.contains("rig-found.toml"), "{message}");
+    assert!(drive.off_m("found") < 0.02, "{}", drive.off_m("found"));
+    // It was the input of this run and stays; another run removes it.
+    assert_eq!(fs::read_to_string(here.join("found/rig-found.toml")).unwrap(), found);
+    done(
+        here,
+        "run sim/frames --timestamps sim/frames.txt --camera sim/camera.yaml --height 0.75 -o found --force --quiet",
+    );
+    assert!(!here.join("found/rig-found.toml").exists());
 }
 
 #[test]
@@ -353,6 +435,15 @@ fn what_cannot_be_used_is_told_in_a_sentence() {
         assert!(message.contains(words) && output.status.code() == Some(3), "{name}: {message}");
         assert!(!here.join("out").exists());
     }
+    fs::create_dir(here.join("stills")).unwrap();
+    fs::write(here.join("stills/1.jpg"), "no picture").unwrap();
+    let stills = odograph(
+        here,
+        "run sim/frames --fps 15 --camera sim/camera.yaml --rig armed.toml --gnss stills -o out",
+    );
+    let message = String::from_utf8_lossy(&stills.stderr).into_owned();
+    assert!(message.contains("stills: none of the 1 pictures in this folder has a position"), "{message}");
+    assert!(stills.status.code() == Some(3) && !here.join("out").exists(), "{message}");
     let noon = odograph(
         here,
         "run sim/frames --fps 15 --camera sim/camera.yaml --rig armed.toml --gnss-start noon -o out",

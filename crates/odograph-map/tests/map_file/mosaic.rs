@@ -9,7 +9,8 @@ use odograph::image::GrayImage;
 use odograph::mosaic::MosaicPicture;
 use odograph_map::MapFile;
 use std::io::Cursor;
-use tiff::decoder::Decoder;
+use tiff::decoder::{Decoder, DecodingResult};
+use tiff::tags::Tag;
 
 /// The mosaic of twelve keyframes with modified images and with the poses of `misplaced`.
 fn mosaic(
@@ -125,10 +126,58 @@ fn a_geotiff_ends_where_the_ground_does() {
     bytes.set_position(0);
     let (width, height) = Decoder::new(bytes).unwrap().dimensions().unwrap();
     assert_eq!((picture.width, picture.height), (width.into(), height.into()));
-    // Its left and upper borders are those of a tile, 512 pixels wide.
-    let [right, bottom] = [&layer.columns, &layer.rows].map(|range| range.end - range.start / 512 * 512);
-    assert_eq!((picture.width, picture.height), (right, bottom));
-    assert!([picture.width, picture.height].iter().all(|side| !side.is_multiple_of(512)), "{picture:?}");
+    // Its left and upper borders are those of a tile.
+    assert!(layer.columns.start < 256 && layer.rows.start < 256, "{layer:?}");
+    assert_eq!((picture.width, picture.height), (layer.columns.end, layer.rows.end));
+    assert!([picture.width, picture.height].iter().all(|side| !side.is_multiple_of(256)), "{picture:?}");
+}
+
+#[test]
+fn a_geotiff_has_its_directories_and_its_overviews_first() {
+    let folder = tempfile::tempdir().unwrap();
+    let mut map = ground::map_of(&folder.path().join("map.gpkg"), 12);
+    map.render_mosaic(Some(0.001), &mut |_| true).unwrap();
+    let layer = map.mosaic().unwrap().unwrap();
+    const SIDE: usize = odograph::mosaic::MOSAIC_TILE_PX;
+    let mut bytes = Cursor::new(Vec::new());
+    map.write_geotiff(&layer, &mut bytes, None, &mut || Ok(())).unwrap();
+    let written = bytes.into_inner();
+    let mut tiff = Decoder::new(Cursor::new(&written)).unwrap();
+    let mut before = written.len() as u64;
+    for level in (0..=layer.finest).rev() {
+        let finer = 1 << (layer.finest - level);
+        let size = [layer.columns.end, layer.rows.end].map(|side| side.div_ceil(finer));
+        let (width, height) = tiff.dimensions().unwrap();
+        assert_eq!([width, height].map(u64::from), size);
+        let reduced = tiff.find_tag_unsigned::<u32>(Tag::NewSubfileType).unwrap();
+        assert_eq!(reduced, (finer > 1).then_some(1));
+        // The tiles of each picture are behind all directories and before those of the finer one.
+        let places = tiff.get_tag_u64_vec(Tag::TileOffsets).unwrap();
+        let lengths = tiff.get_tag_u64_vec(Tag::TileByteCounts).unwrap();
+        let offsets: Vec<u64> = places.iter().copied().filter(|offset| *offset > 0).collect();
+        assert!(offsets.is_sorted() && *offsets.last().unwrap() < before, "{level}: {offsets:?}");
+        before = offsets[0];
+        assert!(tiff.ifd_pointer().unwrap().0 < before);
+        let across = width.div_ceil(SIDE as u32);
+        for (column, row) in map.mosaic_tiles(level).unwrap() {
+            let index = (row as u32 * across + column as u32) as usize;
+            let (at, length) = (places[index] as usize, lengths[index] as usize);
+            let around = &written[at - 4..at + length + 4];
+            assert_eq!(around[..4], (length as u32).to_le_bytes());
+            assert_eq!(around[length..length + 4], around[length + 4..]);
+            let DecodingResult::U8(shown) = tiff.read_chunk(index as u32).unwrap() else {
+                panic!("samples are not bytes")
+            };
+            let tile = map.mosaic_tile(level, column, row).unwrap().unwrap();
+            let across = shown.len() / 4 / SIDE.min(size[1] as usize - SIDE * row as usize);
+            let rows = tile.chunks(4 * SIDE).zip(shown.chunks(4 * across));
+            rows.for_each(|(tile, shown)| assert_eq!(&tile[..4 * across], shown));
+        }
+        if level > 0 {
+            tiff.next_image().unwrap();
+        }
+    }
+    assert!(layer.finest >= 2 && !tiff.more_images(), "{layer:?}");
 }
 
 #[test]

@@ -70,13 +70,14 @@ pub fn parameters(run: &RunBuilder) -> Result<String> {
         budget_ms,
         loops,
         reference,
+        reference_topic,
         output,
         reporter: _,
     } = run;
     let mut plan = source.clone();
     plan.path.clear();
     let mut text = format!(
-        "{plan:?} {frame:?} {readout_s:?} {motion:?} {sensors:?} {budget_ms:?} {loops} {:?} {:?}\n",
+        "{plan:?} {frame:?} {readout_s:?} {motion:?} {sensors:?} {budget_ms:?} {loops} {reference_topic:?} {:?} {:?}\n",
         markers.as_ref().map(|markers| &markers.family),
         output.robot,
     );

@@ -7,7 +7,7 @@ mod improvement;
 mod smoothing;
 mod statistics;
 
-use crate::earth::{self, GnssRecord, OnEarth, RECEIVED_FIXES};
+use crate::earth::{self, Antenna, FOUND_RIG, GnssRecord, OnEarth, RECEIVED_FIXES};
 use crate::folder::{OutputFolder, RUN_FILES};
 use crate::found::{FoundLens, FoundReadout};
 use crate::kept_frames::KeptFrames;
@@ -19,12 +19,13 @@ use crate::pictures::PageTexts;
 use crate::pipeline::Tracked;
 use crate::place::PoseInMap;
 use crate::plan::RunPlan;
+use crate::reference::ReferencePath;
 use crate::report::{ReportLocalization, RunReporter};
 use crate::resemblance::{Resemblance, ResemblanceVerdict};
 use crate::ros_bag::RosBagWriter;
 use crate::statistics::stopped_early;
 use crate::stillness::stillness_warning;
-use crate::{files, pictures, reference, tilt};
+use crate::{files, pictures, tilt};
 use abrupt::widen_abrupt;
 use improvement::{Improved, carrier_frames};
 use odograph::error::{Error, Result};
@@ -47,6 +48,8 @@ pub struct Ending<'a> {
     pub sensors: &'a Sensors,
     /// Positions by a satellite receiver.
     pub gnss: Option<&'a GnssRecord>,
+    /// A path to compare with.
+    pub reference: Option<&'a ReferencePath>,
     pub output: &'a RunOutput,
     pub reporter: Option<&'a dyn RunReporter>,
     pub observer: &'a dyn Observer,
@@ -350,9 +353,23 @@ impl Finishing<'_> {
             None => None,
         };
         self.warn(on_earth.iter().flat_map(|on_earth| on_earth.warnings.clone()));
+        self.write_found_rig(&improved.antenna)?;
         let place = on_earth.as_ref().and_then(|on_earth| on_earth.place.as_ref());
         earth::write(self.folder, place, summaries)?;
         Ok(on_earth)
+    }
+
+    /// The rig file with the antenna that was found. One of an earlier run that is the input of
+    /// this one is kept.
+    fn write_found_rig(&mut self, antenna: &Antenna) -> Result<()> {
+        if let Some(found) = antenna.found_rig(&self.plan.rig) {
+            return self.folder.write(FOUND_RIG, found.as_bytes());
+        }
+        let there = files::read_text(&self.folder.path().join(FOUND_RIG));
+        match there.is_ok_and(|text| antenna.is_stated_by(&text)) {
+            true => Ok(()),
+            false => self.folder.remove(FOUND_RIG),
+        }
     }
 
     /// The mosaic, the map and the page.
@@ -365,7 +382,7 @@ impl Finishing<'_> {
         on_earth: Option<&OnEarth>,
         (place, resemblance): (Option<&PoseInMap>, Option<&Resemblance>),
     ) -> Result<()> {
-        let Ending { description, reporter, observer, .. } = *self.ending;
+        let Ending { description, reporter, observer, reference, .. } = *self.ending;
         let threads = self.ending.output.threads();
         let tracked = &mut self.tracked;
         let corrected = corrected.unwrap_or(&mut tracked.frames);
@@ -377,12 +394,12 @@ impl Finishing<'_> {
             self.fail("there is no picture of the ground", error);
             Mosaic::new(Default::default())
         });
-        let compared = match (&self.plan.reference, reference::read(self.plan)?) {
-            (Some(path), Some(read)) => reference::compared(path, read, self.folder.path())
+        let compared = reference.and_then(|reference| {
+            reference
+                .compared(self.folder.path())
                 .map_err(|error| self.warn([format!("the path cannot be compared: {error}")]))
-                .ok(),
-            _ => None,
-        };
+                .ok()
+        });
         let loops = self.tracked.mapping.loops();
         let keyframes = self.tracked.mapping.own_places();
         let landmarks = markers.map_or_else(Vec::new, MarkerStatistics::drawn);

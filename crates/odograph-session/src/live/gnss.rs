@@ -62,7 +62,7 @@ impl GnssSource {
             Error::input(format!("the positions of the receiver cannot be read from {name}: {error}"))
                 .caused_by(error)
         })?;
-        Ok((!metadata.is_file()).then(|| Self::Device(PathBuf::from(name))))
+        Ok((!metadata.is_file() && !metadata.is_dir()).then(|| Self::Device(PathBuf::from(name))))
     }
 
     fn name(&self) -> String {

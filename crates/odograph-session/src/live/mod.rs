@@ -272,6 +272,7 @@ impl LiveRun {
             description: &info.description,
             sensors: &Sensors::default(),
             gnss: None,
+            reference: None,
             output: &output,
             reporter: reporter.as_deref(),
             observer,

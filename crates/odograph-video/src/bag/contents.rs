@@ -54,6 +54,7 @@ pub(crate) fn contents(mut recording: Box<dyn MessageReader>) -> Result<Contents
             Role::Wheel => StreamUse::Wheel,
             Role::Range => StreamUse::Range,
             Role::Gnss => StreamUse::Gnss,
+            Role::Pose => StreamUse::Path,
             _ => StreamUse::Nothing,
         };
         let stream = Stream {

@@ -147,7 +147,9 @@ impl LiveTransforms {
     /// Takes a message of `/tf_static`.
     pub fn add(&mut self, message: &[u8]) {
         let topic = LiveTopic::new("/tf_static", LiveMessage::Transforms);
-        transforms::each(&topic.0, message, |child, parent, pose| self.0.insert(child, parent, pose));
+        transforms::each(&topic.0, message, |transform| {
+            self.0.insert(&transform.child, &transform.parent, transform.pose);
+        });
     }
 
     /// The mount of the camera whose images have this frame of reference; `None` if the transforms

@@ -117,8 +117,8 @@ fn tree_and_frame(recording: &mut dyn MessageReader, of: &Topic) -> Result<(Tree
         if topic.is(of) {
             frame.get_or_insert_with(|| frame_id(topic, message.data));
         } else {
-            transforms::each(topic, message.data, |child, parent, transform| {
-                tree.insert(child, parent, transform);
+            transforms::each(topic, message.data, |transform| {
+                tree.insert(&transform.child, &transform.parent, transform.pose);
             });
         }
     }

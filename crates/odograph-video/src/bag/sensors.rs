@@ -39,7 +39,7 @@ pub fn recorded_sensor(
     Ok((read.0, at_path(path, read.1)))
 }
 
-fn at_path(path: &Path, warnings: Vec<String>) -> Vec<String> {
+pub(super) fn at_path(path: &Path, warnings: Vec<String>) -> Vec<String> {
     warnings.into_iter().map(|warning| format!("{}: {warning}", path.display())).collect()
 }
 
@@ -56,7 +56,7 @@ pub fn recorded_fixes(path: impl AsRef<Path>, topic: &str) -> Result<(Vec<GnssFi
         path,
         topic,
         "satellite receiver",
-        (Role::Gnss, "sensor_msgs/NavSatFix"),
+        (&|topic| Role::of(topic) == Role::Gnss, "sensor_msgs/NavSatFix"),
         |topic, time_s, data| {
             let Some((place, altitude_m, covariance_m2)) = sensor::position(topic, data) else {
                 return;
@@ -73,9 +73,10 @@ pub fn recorded_fixes(path: impl AsRef<Path>, topic: &str) -> Result<(Vec<GnssFi
 
 fn read(path: &Path, name: &str, kind: SensorKind) -> Result<(Option<SensorRecord>, Vec<String>)> {
     let (role, type_name) = type_of(kind);
+    let fits = |topic: &Topic| Role::of(topic) == role && role != Role::Other;
     let mut times_s: Vec<f64> = Vec::new();
     let mut channels: Vec<Vec<f64>> = Vec::new();
-    let mut warnings = each(path, name, &kind.to_string(), (role, type_name), |topic, time_s, data| {
+    let mut warnings = each(path, name, &kind.to_string(), (&fits, type_name), |topic, time_s, data| {
         let Some(values) = sensor::values(topic, data) else { return };
         times_s.push(time_s);
         channels.resize(values.len(), Vec::new());
@@ -96,11 +97,11 @@ fn read(path: &Path, name: &str, kind: SensorKind) -> Result<(Option<SensorRecor
 }
 
 /// Visits the messages of a sensor's topic in the order of their times, and returns the warnings.
-fn each(
+pub(super) fn each(
     path: &Path,
     name: &str,
     sensor: &str,
-    (role, type_name): (Role, &str),
+    (fits, type_name): (&dyn Fn(&Topic) -> bool, &str),
     mut take: impl FnMut(&Topic, f64, &[u8]),
 ) -> Result<Vec<String>> {
     let not_one = || {
@@ -109,7 +110,7 @@ fn each(
         ))
     };
     let recording = super::open(path)?.ok_or_else(not_one)?;
-    let fits = |topic: &&Topic| Role::of(topic) == role && role != Role::Other;
+    let fits = |topic: &&Topic| fits(topic);
     let Some(topic) = recording.topics().iter().filter(fits).find(|topic| is_named(topic, name)).cloned()
     else {
         let others: Vec<&str> =

@@ -64,9 +64,9 @@ pub(crate) fn open_picture(path: &Path, options: &SourceOptions) -> Result<Opene
     open_pictures(vec![path.to_path_buf()], options.timestamps.as_deref(), options, false)
 }
 
-struct Listing {
+pub(super) struct Listing {
     /// Images in natural order.
-    pictures: Vec<PathBuf>,
+    pub pictures: Vec<PathBuf>,
     /// Subfolders in order of their names.
     folders: Vec<PathBuf>,
     /// A video in it.
@@ -76,7 +76,7 @@ struct Listing {
 }
 
 impl Listing {
-    fn read(folder: &Path) -> Result<Self> {
+    pub fn read(folder: &Path) -> Result<Self> {
         let unreadable = |error: std::io::Error| Error::input(format!("the folder cannot be read: {error}"));
         let mut listing = Self { pictures: Vec::new(), folders: Vec::new(), video: None, other: None };
         let mut others = Vec::new();

@@ -4,6 +4,8 @@ mod decode;
 mod exif_data;
 mod folder;
 mod portable;
+mod positions;
 
 pub(crate) use decode::{decode, is_picture};
 pub(crate) use folder::{name_of, natural_order, open_folder, open_picture};
+pub use positions::picture_fixes;

@@ -190,9 +190,96 @@ fn exif_times_are_used_if_all_images_have_one() {
     // 2024-05-06 07:08:09 UTC
     assert!((frames[0].time_s - 1_714_979_289.25).abs() < 1e-6, "{}", frames[0].time_s);
 
-    fs::write(folder.path().join("4.jpg"), include_bytes!("../data/ramp.jpg")).unwrap();
+    // A list of fields that does not end as it should.
+    let mut unended = jpeg_taken(13, "");
+    unended[64..68].copy_from_slice(b"2024");
+    fs::write(folder.path().join("4.jpg"), unended).unwrap();
+    let (frames, warnings) = read(folder.path(), &SourceOptions::default()).unwrap();
+    assert!(warnings.is_empty() && (frames[3].time_s - frames[0].time_s - 3.75).abs() < 1e-6, "{warnings:?}");
+
+    fs::write(folder.path().join("5.jpg"), include_bytes!("../data/ramp.jpg")).unwrap();
     let (_, warnings) = read(folder.path(), &SourceOptions::default()).unwrap();
     assert!(warnings[0].contains("are assumed"), "{warnings:?}");
+}
+
+/// A JPEG file that was taken at a place, with fields of its own and metadata as text.
+fn jpeg_at(
+    second: u8,
+    (latitude, south): (f64, bool),
+    own: &[(exif::Tag, exif::Value)],
+    xmp: &str,
+) -> Vec<u8> {
+    use exif::{Field, In, Rational, Tag, Value};
+    let angle = |degrees: f64| {
+        let whole = degrees.trunc();
+        let minutes = ((degrees - whole) * 60.0 * 1e7).round() as u32;
+        Value::Rational(vec![
+            (whole as u32, 1).into(),
+            (minutes, 10_000_000).into(),
+            Rational { num: 0, denom: 1 },
+        ])
+    };
+    let text = |text: &str| Value::Ascii(vec![text.as_bytes().to_vec()]);
+    let mut fields = vec![
+        (Tag::DateTimeOriginal, text(&format!("2024:05:06 07:08:{second:02}"))),
+        (Tag::GPSLatitudeRef, text(if south { "S" } else { "N" })),
+        (Tag::GPSLatitude, angle(latitude)),
+        (Tag::GPSLongitudeRef, text("E")),
+        (Tag::GPSLongitude, angle(16.3738)),
+    ];
+    fields.extend(own.iter().cloned());
+    let fields: Vec<Field> =
+        fields.into_iter().map(|(tag, value)| Field { tag, ifd_num: In::PRIMARY, value }).collect();
+    let mut writer = exif::experimental::Writer::new();
+    fields.iter().for_each(|field| writer.push_field(field));
+    let mut tiff = std::io::Cursor::new(Vec::new());
+    writer.write(&mut tiff, true).unwrap();
+    let mut bytes = vec![0xff, 0xd8];
+    let mut segment = |head: &[u8], body: &[u8]| {
+        bytes.extend([0xff, 0xe1]);
+        bytes.extend((2 + head.len() as u16 + body.len() as u16).to_be_bytes());
+        bytes.extend(head);
+        bytes.extend(body);
+    };
+    segment(b"Exif\0\0", tiff.get_ref());
+    if !xmp.is_empty() {
+        segment(b"http://ns.adobe.com/xap/1.0/\0", xmp.as_bytes());
+    }
+    bytes.extend(&include_bytes!("../data/ramp.jpg")[2..]);
+    bytes
+}
+
+#[test]
+fn positions_of_pictures_are_read_with_their_deviations() {
+    use exif::{Tag, Value};
+    let rational = |numerator: u32, denominator: u32| Value::Rational(vec![(numerator, denominator).into()]);
+    let xmp = "<x:xmpmeta><rdf:Description drone-dji:RtkStdLon=\"0.01150\" drone-dji:RtkStdLat=\"+0.02\"/></x:xmpmeta>";
+    let folder = folder(&[
+        ("3.jpg", jpeg_at(13, (48.2084, true), &[], xmp)),
+        ("1.jpg", jpeg_at(9, (48.2082, false), &[(Tag::GPSAltitude, rational(1805, 10))], "")),
+        ("2.jpg", jpeg_at(11, (48.2083, false), &[(Tag::GPSHPositioningError, rational(7, 2))], "")),
+        ("4.jpg", jpeg_at(15, (48.2085, false), &[(Tag::GPSDOP, rational(8, 10))], "")),
+        ("5.jpg", jpeg_taken(17, "")),
+    ]);
+    let (fixes, warnings) = odograph_video::picture_fixes(folder.path()).unwrap();
+    let sigmas: Vec<[f64; 2]> = fixes
+        .iter()
+        .map(|fix| [fix.covariance_m2[(0, 0)].sqrt(), fix.covariance_m2[(1, 1)].sqrt()])
+        .collect();
+    let stated = [[3.0, 3.0], [3.5, 3.5], [0.0115, 0.02], [2.0, 2.0]];
+    assert!(sigmas.iter().zip(stated).all(|(a, b)| (a[0] - b[0]).hypot(a[1] - b[1]) < 1e-9), "{sigmas:?}");
+    let latitudes: Vec<f64> = fixes.iter().map(|fix| fix.place.latitude_rad.to_degrees()).collect();
+    let expected = [48.2082, 48.2083, -48.2084, 48.2085];
+    assert!(latitudes.iter().zip(expected).all(|(a, b)| (a - b).abs() < 1e-8), "{latitudes:?}");
+    assert_eq!(fixes.iter().map(|fix| fix.altitude_m).collect::<Vec<_>>(), [Some(180.5), None, None, None]);
+    assert!(warnings.len() == 1 && warnings[0].contains("1 of 5 pictures have no position"), "{warnings:?}");
+    // Their times are those of the frames of the same folder.
+    let (frames, _) = read(folder.path(), &SourceOptions::default()).unwrap();
+    let times = |of: &mut dyn Iterator<Item = f64>| of.take(4).collect::<Vec<_>>();
+    assert_eq!(
+        times(&mut fixes.iter().map(|fix| fix.time_s)),
+        times(&mut frames.iter().map(|frame| frame.time_s))
+    );
 }
 
 #[test]

@@ -34,6 +34,9 @@ impl GnssFix {
     /// Standard deviation of a fix that states none, metres: of a receiver without corrections
     /// under open sky.
     pub const USUAL_SIGMA_M: f64 = 3.0;
+    /// Standard deviation for a horizontal dilution of precision of 1, metres: the user range error
+    /// of a receiver without corrections.
+    pub const RANGE_ERROR_M: f64 = 2.5;
     /// Range of standard deviations that are taken as stated, metres; others are brought into it.
     pub const SIGMAS_M: std::ops::RangeInclusive<f64> = 0.002..=1e4;
 

@@ -77,6 +77,9 @@ pub struct RunArguments {
     /// the frames'. It is aligned by rotation, shift and scale; nothing else is made of it.
     #[arg(help_heading = "Estimation", long, value_name = "FILE")]
     pub reference: Option<PathBuf>,
+    /// The same from a topic of the robot recording: PoseStamped, Odometry, TransformStamped or tf.
+    #[arg(help_heading = "Estimation", long, value_name = "NAME", conflicts_with = "reference")]
+    pub reference_topic: Option<String>,
     /// Folder for the results.
     ///
     /// [default: beside the recording, with its name: drive/ for drive.mp4, frames-run/ for the
@@ -247,6 +250,7 @@ impl RunArguments {
         let run = self.mounted.of_run(run);
         let run = self.budget_ms.iter().fold(run, |run, budget_ms| run.budget_ms(*budget_ms));
         let run = self.reference.iter().fold(run, RunBuilder::reference);
+        let run = self.reference_topic.iter().fold(run, RunBuilder::reference_topic);
         let run = self.markers.of_run(run);
         if self.no_loops { run.without_loops() } else { run }
     }
@@ -262,7 +266,7 @@ impl RunArguments {
     }
 
     /// The options that determine the results, and whether they are given.
-    fn settings(&self) -> [(&'static str, bool); 31] {
+    fn settings(&self) -> [(&'static str, bool); 32] {
         let setup = &self.mounted.setup;
         [
             ("--profile", self.mounted.chosen.profile.is_some()),
@@ -296,6 +300,7 @@ impl RunArguments {
             ("--control", self.markers.control.is_some()),
             ("--no-loops", self.no_loops),
             ("--reference", self.reference.is_some()),
+            ("--reference-topic", self.reference_topic.is_some()),
         ]
     }
 }

@@ -19,7 +19,8 @@ pub struct SensorArguments {
     /// Range finder: time_s and height_m, or distance_m along the optical axis.
     #[arg(long, value_name = "FILE")]
     pub range: Option<PathBuf>,
-    /// Satellite receiver: CSV (time_s, latitude_deg, longitude_deg, sigma_m), NMEA 0183 or GPX.
+    /// Satellite receiver: CSV (time_s, latitude_deg, longitude_deg, sigma_m), NMEA 0183, GPX, the
+    /// subtitles of a drone (SRT), or a folder of JPEGs with positions.
     ///
     /// Places the path on Earth: trajectory.geojson, trajectory-utm.csv, mosaic-utm.tif. The
     /// antenna is at gnss_lever_arm_m of the rig file.

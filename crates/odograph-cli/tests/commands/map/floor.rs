@@ -52,7 +52,7 @@ fn a_run_stores_the_mosaic_in_its_map() {
         section.contains("scale of the alignment is 2.00")
             || section.contains("scale of the alignment is 1.99")
     );
-    assert!(section.contains(">reference</text>"));
+    assert!(section.contains(">reference</text>") && section.contains(">distance (m)</text>"));
 
     // The mosaic exists without a further command: all observed ground, with pixels twice as large
     // as those of the image.

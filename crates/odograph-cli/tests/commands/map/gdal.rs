@@ -127,6 +127,8 @@ fn exports_are_georeferenced_in_gdal() {
     // The tiles of the GeoTIFF add fewer than 512 transparent columns and rows, left and above.
     let more = [0, 1].map(|k| size("floor.tif")[k].checked_sub(size("floor.png")[k]));
     assert!(more.iter().all(|more| more.is_some_and(|more| more < 512)), "{more:?}");
+    let floor = gdal("gdalinfo", &["floor.tif"], folder.path()).unwrap();
+    assert!(floor.contains("LAYOUT=COG") && floor.contains("Overviews: "), "{floor}");
     export(&["-o", "placed.tif", "--anchor", "48.2082,16.3738,90"]);
     for name in ["path.geojson", "path.kml", "path.gpx"] {
         export(&["-o", name, "--anchor", "48.2082,16.3738,90"]);

@@ -3,6 +3,7 @@
 pub(crate) mod camera_info;
 mod protobuf;
 pub(crate) mod image;
+pub(crate) mod pose;
 pub(crate) mod sensor;
 pub(crate) mod transforms;
 
@@ -24,6 +25,8 @@ pub(crate) enum Role {
     Wheel,
     Range,
     Gnss,
+    /// Poses of anything.
+    Pose,
     Other,
 }
 
@@ -78,6 +81,12 @@ impl Role {
             ("nav_msgs/Odometry", false) => Self::Wheel,
             ("sensor_msgs/Range", false) => Self::Range,
             ("sensor_msgs/NavSatFix", false) => Self::Gnss,
+            (
+                "geometry_msgs/PoseStamped"
+                | "geometry_msgs/PoseWithCovarianceStamped"
+                | "geometry_msgs/TransformStamped",
+                false,
+            ) => Self::Pose,
             _ => Self::Other,
         }
     }

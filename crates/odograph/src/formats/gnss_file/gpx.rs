@@ -1,7 +1,7 @@
 //! GPX: track points. What surrounds them is not looked at.
 
 use super::utc::parse_utc;
-use super::{RANGE_ERROR_M, not_later, place};
+use super::{not_later, place};
 use crate::error::{Error, Result};
 use crate::georeference::GnssFix;
 
@@ -26,7 +26,7 @@ pub fn parse(text: &str) -> Result<Vec<GnssFix>> {
             element(body, name).and_then(|text| text.trim().parse::<f64>().ok()).filter(|n| n.is_finite())
         };
         let dilution = number("hdop").filter(|&dilution| dilution > 0.0);
-        let sigma_m = dilution.map_or(GnssFix::USUAL_SIGMA_M, |dilution| RANGE_ERROR_M * dilution);
+        let sigma_m = dilution.map_or(GnssFix::USUAL_SIGMA_M, |dilution| GnssFix::RANGE_ERROR_M * dilution);
         // Altitude above the geoid; its height is that of a point, or not known.
         let altitude_m = number("ele").map(|above_m| above_m + number("geoidheight").unwrap_or(0.0));
         if let Some(before) = fixes.last().filter(|before| before.time_s >= time_s) {

@@ -1,4 +1,4 @@
-//! Positions of a satellite receiver (GNSS) as CSV, NMEA 0183 or GPX.
+//! Positions of a satellite receiver (GNSS) as CSV, NMEA 0183, GPX or the subtitles of a drone.
 //!
 //! * CSV: a header line with `time_s`, `latitude_deg`, `longitude_deg`, and perhaps `altitude_m`
 //!   above the ellipsoid and the standard deviations `sigma_m`, or `sigma_east_m` and
@@ -6,13 +6,15 @@
 //! * NMEA: GGA, RMC and GST sentences; others are ignored, and so are lines with a wrong checksum.
 //!   The standard deviation is GST's, otherwise the usual one of GGA's quality.
 //! * GPX 1.0 and 1.1: track points with their times; of the dilution of precision the horizontal.
+//! * SRT: the subtitles of drones of DJI, with the usual standard deviation.
 //!
 //! Times of NMEA and GPX are seconds since 1970 in UTC; those of NMEA without a date are seconds
-//! since midnight.
+//! since midnight. Those of subtitles count from the begin of the video.
 
 mod gpx;
 mod lines;
 mod nmea;
+mod srt;
 mod utc;
 
 pub use lines::{GnssLines, ReceivedFixes};
@@ -22,10 +24,6 @@ use super::columns::{Columns, shortened};
 use crate::error::{Error, Result};
 use crate::geometry::EarthPosition;
 use crate::georeference::GnssFix;
-
-/// Standard deviation of a position for a horizontal dilution of precision of 1, metres: the user
-/// range error of a receiver without corrections.
-const RANGE_ERROR_M: f64 = 2.5;
 
 /// Reads positions, in order of time.
 ///
@@ -39,6 +37,8 @@ pub fn parse(text: &str) -> Result<Vec<GnssFix>> {
         gpx::parse(text)?
     } else if begins.starts_with('$') || begins.starts_with('!') {
         nmea::parse(text)?
+    } else if srt::is_one(begins) {
+        srt::parse(text)?
     } else {
         csv(text)?
     };
@@ -177,8 +177,9 @@ mod tests {
     proptest! {
         #[test]
         fn any_text_is_survived(text in ".*", sentences in "([$][A-Z]{5}(,[0-9.NESWA]{0,9}){0,14}([*][0-9A-F]{2})?\n){0,9}",
+                                cues in "(00:00:0[0-9],[0-9]{1,3} --> 00:00:09,000\n([\\[](latitude|longitude|altitude) ?:? ?[-0-9.]{0,6}[\\]] ?|GPS[(][-0-9.,]{0,9}[)]){0,3}\n){0,5}",
                                 tags in "(<(/?trkpt|time|/time|ele)( (lat|lon)=\"[-0-9.]{0,5}\"){0,3}/?>[-0-9TZ:.]{0,9}){0,9}") {
-            let _ = (parse(&text), parse(&sentences), parse(&format!("<gpx>{tags}")));
+            let _ = (parse(&text), parse(&sentences), parse(&cues), parse(&format!("<gpx>{tags}")));
         }
     }
 }

@@ -1,7 +1,7 @@
 //! NMEA 0183: GGA (position and its quality), RMC (position and date), GST (standard deviations).
 
 use super::utc::{days, decimal, whole};
-use super::{RANGE_ERROR_M, not_later, place};
+use super::{not_later, place};
 use crate::error::{Error, Result};
 use crate::geometry::EarthPosition;
 use crate::georeference::GnssFix;
@@ -129,7 +129,9 @@ fn position(fields: &[&str], at: usize, line: usize) -> Result<Option<EarthPosit
 /// Standard deviation by GGA's quality, metres; `None` where it is no position of satellites.
 fn usual_sigma_m(quality: &str, dilution: Option<f64>) -> Option<f64> {
     match quality {
-        "1" | "3" => Some(dilution.map_or(GnssFix::USUAL_SIGMA_M, |dilution| RANGE_ERROR_M * dilution)),
+        "1" | "3" => {
+            Some(dilution.map_or(GnssFix::USUAL_SIGMA_M, |dilution| GnssFix::RANGE_ERROR_M * dilution))
+        }
         // Differential, RTK fixed, RTK float.
         "2" => Some(1.0),
         "4" => Some(0.02),
