@@ -19,9 +19,10 @@ pub struct SensorArguments {
     /// Range finder: time_s and height_m, or distance_m along the optical axis.
     #[arg(long, value_name = "FILE")]
     pub range: Option<PathBuf>,
-    /// Satellite receiver: CSV (time_s, latitude_deg, longitude_deg, sigma_m), NMEA 0183, GPX, the
-    /// subtitles of a drone (SRT), or a folder of JPEGs with positions.
+    /// Satellite receiver: CSV, NMEA 0183, GPX, subtitles of a drone (SRT), or a folder of JPEGs.
     ///
+    /// A CSV file has time_s, latitude_deg, longitude_deg, sigma_m; JPEGs have positions in their
+    /// EXIF data.
     /// Places the path on Earth: trajectory.geojson, trajectory-utm.csv, mosaic-utm.tif. The
     /// antenna is at gnss_lever_arm_m of the rig file.
     #[arg(long, value_name = "FILE")]
