@@ -317,6 +317,7 @@ pub fn rows() -> Vec<BenchmarkRow> {
         },
         small("blackout-2s", Effects { blackouts: dark, ..noise() }),
         BenchmarkRow { name: "h264-qp28", h264_qp: Some(28), ..clean() },
+        BenchmarkRow { name: "grille", texture: "concrete", alteration: Some(Alteration::Grille), ..clean() },
         BenchmarkRow {
             path: lanes,
             fps: 15.0,

@@ -105,6 +105,11 @@ impl PatternNoise {
         self.correction.as_ref().filter(|_| self.is_active)
     }
 
+    /// Whether a pattern is being learned, or corrected.
+    pub fn is_suspected(&self) -> bool {
+        self.correction.is_some()
+    }
+
     /// The ground has moved up to this image, and is assumed to go on.
     fn learn_while_it_moves(&mut self, image: &GrayImage, frame: u64) {
         let correction = self.correction.get_or_insert_with(|| {

@@ -31,7 +31,8 @@ pub struct WorkingResolution {
 
 /// Frames after which the dissimilarity decides. It is that of the frame where it is least: ground
 /// seen from elsewhere, or by a camera whose tilt is not known yet, is dissimilar for a while, too.
-const LEAST_FRAMES: u32 = 5;
+/// Ground below a pattern is until the pattern is found, whose search begins after 16 to 24 frames.
+const LEAST_FRAMES: u32 = 30;
 
 /// Least number of inliers of a frame whose dissimilarity counts.
 const LEAST_INLIERS: usize = 8;
@@ -172,9 +173,11 @@ impl WorkingResolution {
 }
 
 impl Odometry {
-    /// Tracks a coarser level from the next frame on if single pixels are mostly noise.
+    /// Tracks a coarser level from the next frame on if single pixels are mostly noise, and are no
+    /// pattern of the camera.
     pub(super) fn choose_resolution(&mut self) {
-        if self.resolution.is_too_fine(self.learned.noise_ratio(), self.lost_frames > 0) {
+        let may_be_pattern = self.fixed.is_everywhere() || self.pattern_noise.is_suspected();
+        if !may_be_pattern && self.resolution.is_too_fine(self.learned.noise_ratio(), self.lost_frames > 0) {
             self.halve_resolution();
         }
     }
