@@ -139,11 +139,13 @@ impl MosaicFrames {
     }
 
     /// The image of a frame that is stored.
+    #[cfg(feature = "live")]
     pub fn image(&mut self, frame: u64) -> Result<KeyframeImage> {
         self.images.load(frame)
     }
 
     /// The frames of which it is not decided whether their images are stored.
+    #[cfg(feature = "live")]
     pub fn undecided(&self) -> impl Iterator<Item = &Posed> {
         self.waiting.iter().chain(&self.before)
     }

@@ -147,7 +147,7 @@ impl Drive {
         if let Some(readout) = self.calibration.found_readout().filter(|found| found.mean_s != 0.0) {
             parts.push(format!("the shutter takes {:.1} ms to read an image", 1e3 * readout.mean_s));
         }
-        if self.calibration.correction.is_some() {
+        if self.calibration.images.correction.is_some() {
             parts.push("the camera adds a pattern to every image".to_owned());
         }
         parts.join("; ")
