@@ -133,23 +133,6 @@ impl MosaicFrames {
         Ok(mosaic)
     }
 
-    /// Number and pose in the odometry frame of each frame whose image is stored.
-    pub fn kept(&self) -> &[(u64, GroundPose)] {
-        &self.kept
-    }
-
-    /// The image of a frame that is stored.
-    #[cfg(feature = "live")]
-    pub fn image(&mut self, frame: u64) -> Result<KeyframeImage> {
-        self.images.load(frame)
-    }
-
-    /// The frames of which it is not decided whether their images are stored.
-    #[cfg(feature = "live")]
-    pub fn undecided(&self) -> impl Iterator<Item = &Posed> {
-        self.waiting.iter().chain(&self.before)
-    }
-
     /// Segment of the last frame.
     fn segment(&self) -> Option<usize> {
         self.before.as_ref().or(self.waiting.last()).map(|posed| posed.segment)
@@ -190,5 +173,23 @@ impl MosaicFrames {
         self.images.keep(posed.frame.number, &KeyframeImage { gray: posed.frame.gray.clone(), color })?;
         self.kept.push((posed.frame.number, posed.pose));
         Ok(())
+    }
+}
+
+#[cfg(feature = "live")]
+impl MosaicFrames {
+    /// Number and pose in the odometry frame of each frame whose image is stored.
+    pub fn kept(&self) -> &[(u64, GroundPose)] {
+        &self.kept
+    }
+
+    /// The image of a frame that is stored.
+    pub fn image(&mut self, frame: u64) -> Result<KeyframeImage> {
+        self.images.load(frame)
+    }
+
+    /// The frames of which it is not decided whether their images are stored.
+    pub fn undecided(&self) -> impl Iterator<Item = &Posed> {
+        self.waiting.iter().chain(&self.before)
     }
 }
