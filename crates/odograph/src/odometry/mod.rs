@@ -34,7 +34,7 @@ mod surface;
 mod texture;
 mod track_view;
 
-use crate::camera::{Camera, Rig};
+use crate::camera::{CalibrationDeviations, Camera, Rig};
 use crate::error::{Error, Result};
 use crate::filter::ConstantAcceleration;
 use crate::fixed_pattern::{FixedPattern, ImageMask, NonuniformityCorrection, SinceLast};
@@ -67,8 +67,8 @@ pub struct Odometry {
     config: OdometryConfig,
     resolution: WorkingResolution,
     first_pose: GroundPose,
-    /// Standard deviation of the scale of the path that the calibration leaves, relative.
-    scale_deviation: f64,
+    /// What is known of the errors of the calibration.
+    deviations: CalibrationDeviations,
     keyframe: Option<Keyframe>,
     memory: KeyframeMemory,
     last: Option<LastPose>,
@@ -139,7 +139,7 @@ impl Odometry {
             resolution: WorkingResolution::full(&camera, config),
             config: config.for_camera(&camera),
             first_pose,
-            scale_deviation: 0.0,
+            deviations: CalibrationDeviations::default(),
             learned: Learned::with_rolling_shutter(&first_pose, &camera, config.motion.model),
             camera,
             keyframe: None,

@@ -16,8 +16,8 @@ use nalgebra::{Matrix2, Matrix6, Matrix6x2, Vector2, Vector6};
 impl Odometry {
     /// The calibration has these deviations, which the covariance of every pose includes.
     pub fn with_deviations(mut self, deviations: &CalibrationDeviations) -> Self {
-        let CalibrationDeviations { scale, roll_rad, pitch_rad } = *deviations;
-        self.scale_deviation = scale;
+        self.deviations = *deviations;
+        let CalibrationDeviations { roll_rad, pitch_rad, .. } = *deviations;
         self.learned.rig_prior.set_mount_tilt_deviations([roll_rad, pitch_rad]);
         self
     }
@@ -27,7 +27,7 @@ impl Odometry {
     pub(super) fn scale_covariance(&self, pose: &GroundPose) -> Matrix6<f64> {
         let start = &self.first_pose;
         let by_scale = Vector6::new(pose.x_m - start.x_m, pose.y_m - start.y_m, 0.0, pose.height_m, 0.0, 0.0);
-        by_scale * by_scale.transpose() * self.scale_deviation.powi(2)
+        by_scale * by_scale.transpose() * self.deviations.scale.powi(2)
     }
 
     /// Continues with a better calibration of the same camera. Earlier poses stay; the corners of
@@ -93,7 +93,8 @@ impl Odometry {
         if self.segment > 0 || self.resolution.is_reduced() || self.correction().is_some() {
             return Ok(false);
         }
-        let mut again = Self::starting_at(self.first_pose, camera.clone(), self.resolution.config());
+        let again = Self::starting_at(self.first_pose, camera.clone(), self.resolution.config());
+        let mut again = again.with_deviations(&self.deviations);
         if let Some(mask) = self.mask() {
             again = again.with_fixed(&mask);
         }
@@ -107,7 +108,6 @@ impl Odometry {
         // Later keyframes than the first stay in the map, and have had their numbers.
         (again.frames, again.keyframes) = (self.frames, self.keyframes);
         again.first_time_s = self.first_time_s;
-        again.scale_deviation = self.scale_deviation;
         again.fixed = std::mem::replace(&mut self.fixed, FixedPattern::new((0, 0)));
         again.events = self.events.take();
         *self = again;
