@@ -42,7 +42,7 @@ pub struct LinkReport {
 }
 
 impl LinkReport {
-    /// How long to wait for a sign of life; `usual` where there was one, or none is missing yet.
+    /// How long to wait for a sign of life; `usual` where there was one, or none was due yet.
     fn patience(&self, usual: Duration) -> Duration {
         let is_silent = self.acknowledged == 0 && self.status.is_none() && self.problem.is_some();
         if is_silent { usual.min(SILENT_FOR) } else { usual }

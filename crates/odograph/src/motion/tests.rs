@@ -395,7 +395,7 @@ fn tilted_drive(tilt: [f64; 2], keyframes: u64) -> RigPriorEstimator {
 
 #[test]
 fn the_tilt_of_the_mount_is_as_uncertain_as_frames_and_keyframes_leave_it() {
-    // A tilt of a quarter of a degree that five keyframes see: found, and off by what is stated.
+    // Of a tilt of a quarter of a degree five keyframes leave an error as large as stated.
     let tilt = [0.004, -0.003];
     let estimator = tilted_drive(tilt, 5);
     let [_, roll_rad, pitch_rad] = estimator.mount();

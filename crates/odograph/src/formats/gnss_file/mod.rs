@@ -9,7 +9,7 @@
 //! * SRT: the subtitles of drones of DJI, with the usual standard deviation.
 //!
 //! Times of NMEA and GPX are seconds since 1970 in UTC; those of NMEA without a date are seconds
-//! since midnight. Those of subtitles count from the begin of the video.
+//! since midnight. Those of subtitles count from the start of the video.
 
 mod gpx;
 mod lines;

@@ -12,8 +12,8 @@ pub fn is_one(text: &str) -> bool {
     text.lines().take(4).any(|line| start_s(line).is_some())
 }
 
-/// Reads the position of each subtitle, at its begin. One that repeats the position before it is of
-/// the same measurement, and one without a position, or at 0°, 0°, of a receiver that had none.
+/// Reads the position of each subtitle, at its start. Left out are repetitions, which are of the
+/// same measurement, and 0°, 0°, which a receiver without a fix reports.
 pub fn parse(text: &str) -> Result<Vec<GnssFix>> {
     let mut fixes: Vec<GnssFix> = Vec::new();
     let mut lines = text.lines().enumerate().peekable();
@@ -53,7 +53,7 @@ pub fn parse(text: &str) -> Result<Vec<GnssFix>> {
     Ok(fixes)
 }
 
-/// The begin of a span such as `00:01:02,033 --> 00:01:02,066`.
+/// Start of a span such as `00:01:02,033 --> 00:01:02,066`.
 fn start_s(line: &str) -> Option<f64> {
     let (start, _) = line.split_once("-->")?;
     let start = start.trim().replace(',', ".");
@@ -88,7 +88,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn each_new_position_is_read_at_the_begin_of_its_subtitle() {
+    fn each_new_position_is_read_at_the_start_of_its_subtitle() {
         let cue = |number: usize, span: &str, said: &str| {
             format!(
                 "{number}\r\n{span}\r\n<font size=\"28\">FrameCnt: {number}, DiffTime: 33ms\r\n2026-05-04 10:12:33.380\r\n\
