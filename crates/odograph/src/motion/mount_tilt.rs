@@ -13,6 +13,8 @@ use nalgebra::{Matrix2, Matrix3, Matrix3x2, Vector2, Vector3};
 #[derive(Debug, Clone, Copy)]
 pub struct MountTilt {
     prior: Matrix2<f64>,
+    /// What an earlier pass over the same frames left, radians².
+    earlier_pass: Option<Matrix2<f64>>,
     keyframes: SharedTilt,
     /// What the last frame tells.
     latest: Option<SharedTilt>,
@@ -107,7 +109,12 @@ const MAX_RELATIVE_VARIATION: f64 = 1.0 / 3.0;
 impl MountTilt {
     /// Of a mount of which nothing is known but that it looks level to the eye.
     pub fn unknown() -> Self {
-        Self { prior: Self::unknown_covariance(), keyframes: SharedTilt::NONE, latest: None }
+        Self {
+            prior: Self::unknown_covariance(),
+            earlier_pass: None,
+            keyframes: SharedTilt::NONE,
+            latest: None,
+        }
     }
 
     /// Covariance before any keyframe, radians².
@@ -115,9 +122,14 @@ impl MountTilt {
         Matrix2::from_diagonal_element(PRIOR_TILT_SIGMA * PRIOR_TILT_SIGMA)
     }
 
-    /// Sets the covariance of a tilt that was measured, radians².
+    /// Sets the covariance of a tilt that was measured in other frames, radians².
     pub fn set_covariance(&mut self, covariance: Matrix2<f64>) {
         self.prior = covariance;
+    }
+
+    /// Sets the covariance of a tilt that an earlier pass found in the same frames, radians².
+    pub fn set_earlier_pass(&mut self, covariance: Matrix2<f64>) {
+        self.earlier_pass = Some(covariance);
     }
 
     /// Sets the standard deviations of roll and pitch, radians, where they are known.
@@ -139,18 +151,28 @@ impl MountTilt {
     }
 
     /// Mean squared errors of roll and pitch with the correction that is applied, as the frames up
-    /// to the present one show them; the mount varies by `variances` from frame to frame.
+    /// to the present one show them; the mount varies by `variances` from frame to frame. Frames
+    /// that an earlier pass saw do not count twice: either pass is believed, whichever is surer.
     pub fn squared_errors(&self, variances: [f64; 2]) -> Matrix2<f64> {
         let all = self.latest.map_or(self.keyframes, |shared| self.keyframes.with(&shared));
-        let (mean, covariance) = all.posterior(&self.prior).unwrap_or((Vector2::zeros(), self.prior));
-        let off = mean - Vector2::from(self.correction(variances));
-        covariance + off * off.transpose()
+        let this_pass = all.posterior(&self.prior).unwrap_or((Vector2::zeros(), self.prior));
+        let correction = Vector2::from(self.correction(variances));
+        let errors = |(mean, covariance): (Vector2<f64>, Matrix2<f64>)| {
+            let off = mean - correction;
+            covariance + off * off.transpose()
+        };
+        match self.earlier_pass {
+            Some(covariance) if covariance.trace() < this_pass.1.trace() => {
+                errors((Vector2::zeros(), covariance))
+            }
+            _ => errors(this_pass),
+        }
     }
 
     /// The corrections of roll and pitch: zero unless the mean is significant and the short-term
     /// variation is small beside it.
     pub fn correction(&self, variances: [f64; 2]) -> [f64; 2] {
-        let posterior = self.keyframes.posterior(&self.prior);
+        let posterior = self.keyframes.posterior(&self.earlier_pass.unwrap_or(self.prior));
         let Some((mean, covariance)) = posterior.filter(|_| self.keyframes.pairs >= MIN_KEYFRAMES) else {
             return [0.0; 2];
         };

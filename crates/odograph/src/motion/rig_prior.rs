@@ -303,9 +303,14 @@ impl RigPriorEstimator {
         self.mount_tilt.set_deviations(deviations);
     }
 
-    /// Sets the covariance of the mount's roll and pitch, radians², where they were measured.
+    /// Sets the covariance of the mount's roll and pitch, radians², where other frames showed them.
     pub fn set_mount_tilt_covariance(&mut self, covariance: &Matrix2<f64>) {
         self.mount_tilt.set_covariance(*covariance);
+    }
+
+    /// Sets the same where an earlier pass over these frames has found it.
+    pub fn set_earlier_mount_tilt_covariance(&mut self, covariance: &Matrix2<f64>) {
+        self.mount_tilt.set_earlier_pass(*covariance);
     }
 
     /// Height, roll and pitch of the mount: the rig file's, corrected.

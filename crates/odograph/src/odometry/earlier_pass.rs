@@ -40,7 +40,7 @@ impl Odometry {
             self.motion = Arc::clone(motion);
         }
         if let Some(covariance) = &found.mount_tilt {
-            self.learned.rig_prior.set_mount_tilt_covariance(covariance);
+            self.learned.rig_prior.set_earlier_mount_tilt_covariance(covariance);
         }
         match &found.fixed {
             Some(fixed) => self.with_fixed(fixed),

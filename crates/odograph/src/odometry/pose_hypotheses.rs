@@ -4,6 +4,7 @@
 use super::Odometry;
 use super::keyframe::Keyframe;
 use super::last_pose::{LastPose, USUAL_STEP, seen_apart};
+use super::standing::STILL_PX;
 use super::tracking::{Measurement, Tracker};
 use crate::geometry::GroundPose;
 use crate::image::Pyramid;
@@ -22,9 +23,13 @@ const FULL_SEARCH_PX: f64 = 4.0;
 /// flight over a checkerboard whose period is 30 pixels or more.
 const NEAR_PX: f64 = 6.0;
 
-/// Ground that moves as predicted is preferred to corners that stand still in the image where it
-/// has at least this part of their number. Not derived; chosen.
+/// Ground that moves as predicted is preferred to what moves otherwise, or stands still in the
+/// image, where it has at least this part of its corners. Not derived; chosen.
 const LEAST_GROUND: f64 = 0.2;
+
+/// Distance from where a prediction may be off, pixels, at which a pose is that of another motion:
+/// inliers of one motion are not those of the other. Not derived; chosen.
+const MATCH_PX: f64 = 2.0;
 
 type Measured = Result<Measurement, LossReason>;
 
@@ -69,33 +74,56 @@ impl Odometry {
                 self.or_elsewhere(wide, &tracker, last, time_s)
             }
         };
-        self.or_moving(measured, &tracker, &extrapolated)
+        self.or_predicted(measured, &tracker, last, &extrapolated, time_s)
     }
 
-    /// The measured pose or, if it is that of what stands still in the image although the camera
-    /// should have moved, the predicted one if enough corners agree with it. Drops on the lens, or
-    /// rows of the image before, may outnumber the corners of the ground.
-    fn or_moving(&self, measured: Measured, tracker: &Tracker<'_>, prediction: &GroundPose) -> Measured {
-        let (Tracker { keyframe, camera, config, .. }, Ok(still)) = (*tracker, &measured) else {
+    /// The measured pose or, if the camera should have moved otherwise, the predicted one if enough
+    /// corners agree with that, too. Drops on the lens, rows of the image before, or something that
+    /// crosses the view may outnumber the corners of the ground, but only the ground goes on as
+    /// predicted, unless that is to stand still.
+    fn or_predicted(
+        &self,
+        measured: Measured,
+        tracker: &Tracker<'_>,
+        last: &LastPose,
+        prediction: &GroundPose,
+        time_s: f64,
+    ) -> Measured {
+        let (Tracker { keyframe, camera, config, .. }, Ok(other)) = (*tracker, &measured) else {
             return measured;
         };
-        if config.motion.model == MotionModel::Mean || !still.stands_still(keyframe, camera, prediction) {
+        if config.motion.model == MotionModel::Mean {
             return measured;
         }
-        let least = LEAST_GROUND * still.estimate.inlier_count() as f64;
-        let moves = |found: &Measurement| {
-            !found.stands_still(keyframe, camera, prediction) && found.estimate.inlier_count() as f64 >= least
+        let stands = other.stands_still(keyframe, camera, prediction);
+        let moves = self.seen_apart_px(prediction, &self.uncorrected(&last.pose)) > STILL_PX;
+        let off_px = self.prediction_off_px(last, time_s).filter(|_| moves);
+        let is_predicted = |pose: &GroundPose, off_px: f64| self.seen_apart_px(pose, prediction) <= off_px + MATCH_PX;
+        if !stands && off_px.is_none_or(|off_px| is_predicted(&other.estimate.pose, off_px)) {
+            return measured;
+        }
+        let least = LEAST_GROUND * other.estimate.inlier_count() as f64;
+        let is_ground = |found: &Measurement| {
+            !found.stands_still(keyframe, camera, prediction)
+                && found.estimate.inlier_count() as f64 >= least
+                && (stands || off_px.is_some_and(|off_px| is_predicted(&found.estimate.pose, off_px)))
         };
         let random = &mut Random::new(self.frames);
-        // By corners, even where the whole image was registered onto what stands still.
-        let moving = tracker.measure_corners(prediction, NEAR_PX, random).filter(moves);
-        let Some(moving) = moving else { return measured };
-        if still.agreement.is_some() {
-            return Ok(moving);
+        // By corners, even where the whole image was registered onto something else.
+        let reach_px = if stands { NEAR_PX } else { off_px.unwrap_or(NEAR_PX) };
+        let ground = tracker.measure_corners(prediction, reach_px, random).filter(is_ground);
+        let Some(ground) = ground else { return measured };
+        if other.agreement.is_some() || !stands {
+            return Ok(ground);
         }
-        let tracks = still.found.iter().zip(&still.estimate.inliers);
+        let tracks = other.found.iter().zip(&other.estimate.inliers);
         let fixed = tracks.filter(|(_, inlier)| **inlier).map(|(found, _)| found.corner).collect();
-        Ok(moving.beside(fixed, keyframe))
+        Ok(ground.beside(fixed, keyframe))
+    }
+
+    /// [`seen_apart`], pixels.
+    fn seen_apart_px(&self, a: &GroundPose, b: &GroundPose) -> f64 {
+        seen_apart(a, b) * self.camera.focal_px().0
     }
 
     /// What a wide search found or, if fewer corners than usual agree with that and more with a
@@ -108,9 +136,9 @@ impl Odometry {
         {
             return wide;
         }
-        let apart_px = |a: &GroundPose, b: &GroundPose| seen_apart(a, b) * self.camera.focal_px().0;
-        let is_elsewhere =
-            |pose: &GroundPose| found.is_none_or(|found| apart_px(pose, &found.estimate.pose) > NEAR_PX);
+        let is_elsewhere = |pose: &GroundPose| {
+            found.is_none_or(|found| self.seen_apart_px(pose, &found.estimate.pose) > NEAR_PX)
+        };
         let elsewhere = last
             .predictions(time_s)
             .iter()

@@ -23,7 +23,7 @@ pub struct Standing {
 
 /// Motion below which the image stands still, pixels: cells of four pixels that are no longer
 /// recognized have moved further.
-const STILL_PX: f64 = 1.5;
+pub const STILL_PX: f64 = 1.5;
 
 /// Frames without new evidence after which a camera may stand.
 const SUSPICION_FRAMES: usize = 15;
