@@ -2,13 +2,14 @@
 //!
 //! A printed or paved floor looks alike in many places, and descriptors of corners do not tell
 //! them apart. What is left when the registered images are divided by each other does: at the place
-//! it is noise, at a lookalike also what is peculiar to both places ([`Likeness`]). The lookalikes
-//! are the sample of how a place that is not in the map would differ, so that each of them bounds
-//! the probability of a false alarm.
+//! it is noise, at a lookalike also what is peculiar to both places, be it grain ([`Likeness`]) or
+//! smooth ([`SmoothDifference`]). The lookalike that differs least shows how much copies of this
+//! ground differ, and so what the difference at a place is evidence of.
 
 use super::likeness::Likeness;
 use super::matching::{LoopSighting, Matcher, QueryKeyframe, ReferenceKeyframe};
 use super::recognition::SAME_METRES;
+use super::smooth_difference::{DifferenceEquations, SmoothDifference};
 use super::verification::{GUESS_OFF_PX, MIN_INLIERS};
 use crate::geometry::{GroundPose, wrap_angle};
 use crate::keyframe::KeyframeId;
@@ -18,16 +19,16 @@ use crate::place_recognition::PlaceHypothesis;
 /// Number of lookalikes that are registered, each some milliseconds.
 pub const MAX_LOOKALIKES: usize = 48;
 
-/// Maximum sum, over all lookalikes, of the probabilities that chance makes the picture differ less
-/// from the chosen place.
-const MAX_FALSE_ALARM: f64 = 1e-3;
+/// Minimum logarithm of the odds of a place, against every other place and against a copy that is
+/// not in the map: one in 1,100.
+const MIN_LOG_ODDS: f64 = 7.0;
 
 /// Distance and angle beyond which two places differ: twelve spots of a view of 240, and as where
 /// motions of one keyframe are told apart.
 const APART_VIEWS: f64 = 0.05;
 const APART_RAD: f64 = 0.15;
 
-/// A place that looks like the picture.
+/// A keyframe that looks like the picture.
 #[derive(Debug)]
 pub struct Lookalike {
     keyframe: KeyframeId,
@@ -36,6 +37,7 @@ pub struct Lookalike {
     /// `None` where the corners are not found again.
     sighting: Option<LoopSighting>,
     likeness: Likeness,
+    equations: DifferenceEquations,
 }
 
 impl Lookalike {
@@ -51,42 +53,81 @@ impl Lookalike {
         let sighting = matcher.find(query, reference, &motion, GUESS_OFF_PX);
         let sighting = sighting.filter(|sighting| sighting.inliers >= MIN_INLIERS);
         let there = sighting.map_or_else(|| matcher.predicted(query, reference, &motion), |found| found.pose);
-        let likeness = matcher.likeness(query, reference, &there)?;
+        let overlap = matcher.overlap_grid(query, reference, &there);
+        let likeness = Likeness::of(&overlap)?;
         // Hypotheses that are some centimetres apart may lead to one place.
         let motion = sighting.map_or(motion, |found| found.motion);
         let pose = compose(keyframe, &inverse(&motion, SAME_METRES), 1.0);
-        Some(Self { keyframe: hypothesis.keyframe, pose, sighting, likeness })
+        let equations = DifferenceEquations::of(&overlap);
+        Some(Self { keyframe: hypothesis.keyframe, pose, sighting, likeness, equations })
     }
 
     fn is_elsewhere(&self, other: &Self, view_m: f64) -> bool {
         self.pose.distance_m(&other.pose) > APART_VIEWS * view_m
             || wrap_angle(self.pose.heading_rad - other.pose.heading_rad).abs() > APART_RAD
     }
+
+    fn inliers(&self) -> usize {
+        self.sighting.map_or(0, |sighting| sighting.inliers)
+    }
 }
 
-/// The place that differs from the picture by noise only, and significantly less than all others;
-/// `None` if there is none, or nothing to compare it with.
+/// The place that differs from the picture by noise only, and is far more probable than any other
+/// and than a copy elsewhere; `None` if there is none, or nothing to compare it with.
 pub fn only_place(found: &[Lookalike], view_m: f64) -> Option<(KeyframeId, LoopSighting)> {
-    let possible = found.iter().filter(|one| one.likeness.is_of_one_place() && one.likeness.is_white());
-    let judged = possible.filter_map(|one| Some((one, one.sighting?, false_alarm(one, found, view_m)?)));
-    let (best, sighting, probability) = judged.min_by(|a, b| a.2.total_cmp(&b.2))?;
-    (probability <= MAX_FALSE_ALARM).then_some((best.keyframe, sighting))
+    let places = places(found, view_m);
+    let differences: Vec<Option<SmoothDifference>> = places.iter().map(|place| difference(place)).collect();
+    let judged = places.iter().enumerate().filter_map(|(number, place)| {
+        let (keyframe, sighting) = place.iter().find_map(|one| {
+            one.sighting.filter(|_| one.likeness.is_of_one_place()).map(|sighting| (one.keyframe, sighting))
+        })?;
+        let others = differences.iter().enumerate().filter(|(other, _)| *other != number);
+        let others: Vec<&SmoothDifference> =
+            others.filter_map(|(_, difference)| difference.as_ref()).collect();
+        let log_odds = log_odds(differences[number].as_ref()?, &others)?;
+        Some((log_odds, keyframe, sighting))
+    });
+    let (log_odds, keyframe, sighting) = judged.max_by(|a, b| a.0.total_cmp(&b.0))?;
+    (log_odds >= MIN_LOG_ODDS).then_some((keyframe, sighting))
 }
 
-/// The probability of mistaking any of the other places for one; `None` without another. Of the
-/// keyframes that show a place the one that differs most counts, times their number.
-fn false_alarm(one: &Lookalike, found: &[Lookalike], view_m: f64) -> Option<f64> {
-    let mut places: Vec<(&Lookalike, f64, f64)> = Vec::new();
-    for rival in found.iter().filter(|other| other.is_elsewhere(one, view_m)) {
-        let probability = one.likeness.false_alarm(&rival.likeness);
-        match places.iter_mut().find(|(place, ..)| !place.is_elsewhere(rival, view_m)) {
-            Some((_, least, keyframes)) => {
-                (*least, *keyframes) = (least.min(probability), *keyframes + 1.0);
+/// The keyframes by places, those with the most inliers first. Those whose corners are not found
+/// again are registered badly, so each of them stands for itself.
+fn places(found: &[Lookalike], view_m: f64) -> Vec<Vec<&Lookalike>> {
+    let mut found: Vec<&Lookalike> = found.iter().collect();
+    found.sort_by_key(|one| (std::cmp::Reverse(one.inliers()), one.keyframe));
+    let mut places: Vec<Vec<&Lookalike>> = Vec::new();
+    for one in found {
+        match places.iter_mut().find(|place| !place[0].is_elsewhere(one, view_m)) {
+            None => places.push(vec![one]),
+            Some(place) => {
+                let is_known = place.iter().any(|other| other.keyframe == one.keyframe);
+                if one.sighting.is_some() && !is_known {
+                    place.push(one);
+                }
             }
-            None => places.push((rival, probability, 1.0)),
         }
     }
-    places.iter().map(|(_, least, keyframes)| least * keyframes).reduce(|sum, place| sum + place)
+    places
+}
+
+/// The smooth difference between the picture and all keyframes of a place.
+fn difference(place: &[&Lookalike]) -> Option<SmoothDifference> {
+    let (first, more) = place.split_first()?;
+    let mut equations = first.equations.clone();
+    more.iter().for_each(|one| equations.add(&one.equations));
+    equations.solved()
+}
+
+/// Logarithm of the odds of a place against a copy elsewhere, or against one of the others if that
+/// is less; `None` without another.
+fn log_odds(place: &SmoothDifference, others: &[&SmoothDifference]) -> Option<f64> {
+    // Where only a part of a copy is in the map, little difference is no evidence that the copy is
+    // the place, but it is evidence that copies differ little.
+    let amplitude = others.iter().map(|other| other.amplitude()).min_by(f64::total_cmp)?;
+    let own = place.log_odds(amplitude);
+    let most = others.iter().map(|other| other.log_odds(amplitude)).max_by(f64::total_cmp)?;
+    Some(own - most.max(0.0))
 }
 
 #[cfg(test)]
@@ -145,5 +186,11 @@ mod tests {
         // Of lookalikes alone none is the place, and one without others is not judged.
         assert!(only_place(&found[1..], view_m).is_none());
         assert!(only_place(&found[..1], view_m).is_none());
+        // Neither is it told from an exact copy.
+        let further = GroundPose { x_m: there.x_m + 1.6, ..there };
+        let copy = Lookalike::new(&matcher, (&query, &reference), &hypothesis(0.0, 0.0), &further);
+        let found: Vec<Lookalike> = found.into_iter().chain(copy).collect();
+        assert_eq!(found.len(), 6);
+        assert!(only_place(&found, view_m).is_none());
     }
 }

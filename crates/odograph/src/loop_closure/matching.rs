@@ -7,7 +7,7 @@ use crate::geometry::{GroundPose, Ray};
 use crate::image::{GrayImage, Pyramid};
 use crate::keyframe::GroundInView;
 use crate::keyframe::relative_pose::{compose, motion_covariance, relative_motion};
-use crate::loop_closure::likeness::{Likeness, RegisteredImage};
+use crate::loop_closure::overlap::{OverlapGrid, RegisteredImage};
 use crate::motion::MotionEstimate;
 use crate::motion::ViewingPose;
 use crate::motion::dense::{self, DenseEstimate, DenseImage};
@@ -260,14 +260,13 @@ impl Matcher {
         self.placed(&query.at, &reference.at, motion)
     }
 
-    /// How the images of the query and of a reference, registered at `pose`, differ; `None` if too
-    /// little ground is in both.
-    pub fn likeness(
+    /// The ground that the images of the query and of a reference, registered at `pose`, both show.
+    pub fn overlap_grid(
         &self,
         query: &QueryKeyframe,
         reference: &ReferenceKeyframe,
         pose: &GroundPose,
-    ) -> Option<Likeness> {
+    ) -> OverlapGrid {
         let QueryKeyframe { at: CameraPose { camera, .. }, keyframe } = query;
         let here = RegisteredImage {
             camera: &self.of(*camera).camera,
@@ -281,7 +280,7 @@ impl Matcher {
             pose: *pose,
             mask: reference.mask.as_deref(),
         };
-        Likeness::of(&here, &there)
+        OverlapGrid::new(&here, &there)
     }
 
     /// The pose from dense registration of the overlap, if the corners are less certain than the

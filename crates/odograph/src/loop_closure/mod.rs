@@ -2,11 +2,13 @@
 //!
 //! Candidates come from the pose graph ([`candidates`]) and from place recognition
 //! ([`recognition`]). The tracker of odometry finds the corners of one keyframe in the image of the
-//! other ([`matching`]), [`likeness`] says how registered images differ, and [`verification`]
-//! decides which matches are accepted; [`lookalikes`] decides for a single picture over ground that
-//! repeats itself.
+//! other ([`matching`]), [`likeness`] and [`smooth_difference`] say how registered images differ,
+//! and [`verification`] decides which matches are accepted; [`lookalikes`] decides for a single
+//! picture over ground that repeats itself.
 
+mod overlap;
 mod likeness;
+mod smooth_difference;
 pub(crate) mod matching;
 pub(crate) mod candidates;
 mod gate;

@@ -8,6 +8,7 @@
 use super::LoopClosureConfig;
 use super::candidates::{LoopCandidate, Prior, Strength};
 use super::gate::{CONTRADICTION_GATE, GATE, normalised_innovation_squared};
+use super::likeness::Likeness;
 use super::recognition::Recognised;
 use crate::geometry::pose_index::{HEADING, X, Y};
 use crate::geometry::{Sim2, WithCovariance, wrap_angle};
@@ -120,8 +121,7 @@ pub fn verify_recognised(
     let looks_equal = || {
         let is_candidate = found.inliers >= MIN_INLIERS && !recognised.stands_alone();
         is_candidate
-            && matcher
-                .likeness(query, reference, &found.pose)
+            && Likeness::of(&matcher.overlap_grid(query, reference, &found.pose))
                 .is_some_and(|likeness| likeness.is_of_one_place())
     };
     if !is_clear(&found, config) && !looks_equal() {
