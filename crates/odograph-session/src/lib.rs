@@ -80,6 +80,7 @@ mod markers;
 mod marker_statistics;
 mod planning;
 mod found;
+mod found_rig;
 mod recalibrated_odometry;
 mod tilt;
 mod stillness;
