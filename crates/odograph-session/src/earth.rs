@@ -4,7 +4,6 @@
 use crate::earth_statistics::GnssStatistics;
 use crate::files;
 use crate::folder::OutputFolder;
-use crate::found_rig::FOUND_RIG;
 use crate::kept_frames::KeptFrames;
 use crate::plan::RunPlan;
 use crate::sensors::SensorFiles;
@@ -29,6 +28,9 @@ pub const UTM_MOSAIC: &str = "mosaic-utm.tif";
 
 /// The positions that a receiver sent during a live run, which are nowhere else.
 pub const RECEIVED_FIXES: &str = "gnss-received.csv";
+
+/// The rig file with what was found of the antenna, and of the camera by a wheel.
+pub const FOUND_RIG: &str = "rig-found.toml";
 
 /// Largest size of a file of fixes, bytes: weeks of NMEA at ten a second.
 const MAX_BYTES: u64 = 256 << 20;

@@ -1,6 +1,6 @@
 //! The rig file that a run writes: where the camera and the antenna were found to be on the robot.
 
-use crate::earth::Antenna;
+use crate::earth::{Antenna, FOUND_RIG};
 use nalgebra::{Rotation2, Vector2};
 use odograph::camera::{LeverArm, MeasuredRig, Rig, RigDeviations};
 use odograph::filter::fusion::{SensorKind, SensorReport};
@@ -8,9 +8,6 @@ use odograph::formats::decimal::Rounded;
 use odograph::formats::rig_file;
 use odograph::geometry::wrap_angle;
 use std::fmt::Write;
-
-/// Its name in the folder of a run.
-pub const FOUND_RIG: &str = "rig-found.toml";
 
 /// Largest standard deviation of a lever arm that is worth writing, metres.
 const WORST_M: f64 = 0.1;

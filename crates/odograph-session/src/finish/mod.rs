@@ -7,10 +7,10 @@ mod improvement;
 mod smoothing;
 mod statistics;
 
-use crate::earth::{self, Antenna, GnssRecord, OnEarth, RECEIVED_FIXES};
+use crate::earth::{self, Antenna, FOUND_RIG, GnssRecord, OnEarth, RECEIVED_FIXES};
 use crate::folder::{OutputFolder, RUN_FILES};
 use crate::found::{FoundLens, FoundReadout};
-use crate::found_rig::{self, FOUND_RIG, FoundMounting};
+use crate::found_rig::{self, FoundMounting};
 use crate::kept_frames::KeptFrames;
 use crate::marker_statistics::MarkerStatistics;
 use crate::observer::Observer;
