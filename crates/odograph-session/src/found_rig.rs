@@ -136,7 +136,7 @@ mod tests {
         // the image; the camera is 0.3 m ahead of the axle and 0.1 m to its left.
         let quarter = std::f64::consts::FRAC_PI_2;
         let report = wheel(-quarter, 0.1, -0.3);
-        let found = FoundMounting::of(&[report.clone()], &Rig::level(0.8)).unwrap();
+        let found = FoundMounting::of(std::slice::from_ref(&report), &Rig::level(0.8)).unwrap();
         let text = text(&Rig::level(0.8), Some(&found), &Antenna::default()).unwrap();
         let read = rig_file::parse_measured(&text).unwrap();
         assert_eq!(read.rig.lever_arm, Some(LeverArm { x_m: 0.3, y_m: 0.1, z_m: 0.8 }), "{text}");
