@@ -155,7 +155,7 @@ pub struct FrameEstimate {
 }
 
 impl FrameEstimate {
-    /// Whether the pose is dead-reckoned from other sensors, because the camera has lost the ground.
+    /// Whether the pose is dead-reckoned from other sensors: the camera has lost the ground.
     pub fn is_reckoned(&self) -> bool {
         self.estimate.is_some() && self.status != TrackStatus::Tracked
     }

@@ -1,5 +1,5 @@
-//! Lines of a sensor or receiver beside a live source: from a pipe, a serial device, standard input,
-//! datagrams, or a file that grows.
+//! Lines of a sensor or receiver beside a live source: from a pipe, a serial device, standard
+//! input, datagrams, or a file that grows.
 
 use odograph::error::{Error, Result};
 use std::fs::File;

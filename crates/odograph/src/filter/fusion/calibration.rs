@@ -67,8 +67,8 @@ fn thinned(steps: &[MotionStep]) -> Vec<MotionStep> {
     steps.iter().step_by(steps.len().div_ceil(MAX_ROWS).max(1)).copied().collect()
 }
 
-/// Calibrates a gyroscope against the camera's heading changes. It may contradict them in `patience`
-/// seconds, however few are compared.
+/// Calibrates a gyroscope against the camera's heading changes. It may contradict them in
+/// `patience` seconds, however few are compared.
 pub fn gyro(record: &SensorRecord, steps: &[MotionStep], patience: usize) -> Result<Calibrated, Reason> {
     let channels = if record.quantity() == Quantity::TurnRates { 3 } else { 1 };
     let row = |step: &MotionStep, offset_s: f64| {
