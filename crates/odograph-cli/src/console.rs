@@ -4,7 +4,7 @@ use indicatif::{ProgressBar, ProgressStyle};
 use odograph::error::{Error, Result};
 use std::borrow::Cow;
 use std::ffi::OsStr;
-use std::io::{self, Write};
+use std::io::{self, IsTerminal, Write};
 use std::path::Path;
 
 /// Whether a terminal acts upon a character instead of showing it: control characters, and those
@@ -74,6 +74,17 @@ pub fn failure(place: &str, failure: &Error) {
 /// Prints a warning about a result.
 pub fn warn(sentence: &str) {
     to_person("warning", sentence);
+}
+
+/// Draws something of the program's own on standard error, with the colours of a terminal, if that
+/// is one.
+pub fn draw_on_terminal(lines: impl FnOnce() -> Vec<String>) {
+    let mut terminal = io::stderr().lock();
+    if terminal.is_terminal() {
+        for line in lines() {
+            let _ = writeln!(terminal, "{line}");
+        }
+    }
 }
 
 /// Prints a note; nothing is wrong.

@@ -10,6 +10,7 @@ mod lengths;
 mod named_outputs;
 mod negative_values;
 mod profiles;
+mod qr_code;
 mod tips;
 mod wrong_number;
 

@@ -45,7 +45,7 @@ fn fields(frame: &FrameEstimate, latency_ms: Option<f64>) -> Value {
             "covariance_x_y_heading": covariance,
         })
     });
-    json!({
+    let mut fields = json!({
         "frame": frame.frame,
         "time_s": frame.time_s,
         "status": frame.status.to_string(),
@@ -55,7 +55,11 @@ fn fields(frame: &FrameEstimate, latency_ms: Option<f64>) -> Value {
         "residual_px": frame.residual_px,
         "latency_ms": latency_ms,
         "pose": pose,
-    })
+    });
+    if frame.is_reckoned() {
+        fields["pose_from"] = "sensors".into();
+    }
+    fields
 }
 
 /// A UDP sender: one datagram a frame, each one JSON line. Delivery is not guaranteed.

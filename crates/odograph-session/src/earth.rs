@@ -8,12 +8,11 @@ use crate::kept_frames::KeptFrames;
 use crate::plan::RunPlan;
 use crate::sensors::SensorFiles;
 use nalgebra::{Matrix2, Point3, Rotation2, Vector2};
-use odograph::camera::{LeverArm, Rig};
+use odograph::camera::LeverArm;
 use odograph::error::{Error, Result};
 use odograph::formats::decimal::Rounded;
 use odograph::formats::geojson::{self, Feature};
 use odograph::formats::gnss_file;
-use odograph::formats::rig_file;
 use odograph::geometry::EarthPosition;
 use odograph::georeference::{AntennaPosition, FixUse, Georeference, GnssFix, georeference};
 use odograph::keyframe::KeyframeId;
@@ -30,7 +29,7 @@ pub const UTM_MOSAIC: &str = "mosaic-utm.tif";
 /// The positions that a receiver sent during a live run, which are nowhere else.
 pub const RECEIVED_FIXES: &str = "gnss-received.csv";
 
-/// The rig file with the antenna, where the positions show where it is.
+/// The rig file with what was found of the antenna, and of the camera by a wheel.
 pub const FOUND_RIG: &str = "rig-found.toml";
 
 /// Largest size of a file of fixes, bytes: weeks of NMEA at ten a second.
@@ -72,32 +71,15 @@ impl Antenna {
         ))
     }
 
-    /// A rig file with the antenna where it was found; `None` where it was not.
-    pub fn found_rig(&self, rig: &Rig) -> Option<String> {
-        let (at_m, sigma_m) = self.found_m?;
-        // The camera's axes are turned by its yaw against those of the robot.
-        let (at_m, base_link) = match rig.lever_arm {
-            Some(_) => (at_m, ""),
-            None => (
-                Rotation2::new(rig.yaw_rad) * at_m,
-                "base_link is taken to be on the ground below the camera. ",
-            ),
-        };
-        let below = LeverArm { x_m: 0.0, y_m: 0.0, z_m: rig.height_m };
-        let rig = Rig { lever_arm: rig.lever_arm.or(Some(below)), ..*rig };
-        Some(format!(
-            "{}# {base_link}The antenna by its positions, ± {:.3} m; its height is not known.\n\
-             gnss_lever_arm_m = [{:.4}, {:.4}, 0.0]\n",
-            rig_file::write(&rig),
-            Rounded(sigma_m),
-            Rounded(at_m.x),
-            Rounded(at_m.y)
-        ))
+    /// Where it was found, ahead and to the left of the robot or of the camera, metres, with its
+    /// standard deviation.
+    pub fn found_m(&self) -> Option<(Vector2<f64>, f64)> {
+        self.found_m
     }
 
-    /// Whether a rig file of an earlier run is the one that states it.
-    pub fn is_stated_by(&self, rig_text: &str) -> bool {
-        self.stated.is_some() && rig_file::parse_antenna(rig_text).is_ok_and(|stated| stated == self.stated)
+    /// Where it is stated to be.
+    pub fn stated_at(&self) -> Option<LeverArm> {
+        self.stated
     }
 }
 

@@ -87,6 +87,7 @@ mod earth_statistics;
 mod statistics;
 mod folder;
 mod earth;
+mod found_rig;
 mod outcome;
 mod growing_map_file;
 mod mapping;

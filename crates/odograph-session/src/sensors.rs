@@ -97,9 +97,10 @@ impl SensorFiles {
         };
         let sentence = |report: &SensorReport| {
             let path = file(report.sensor).as_ref().map(|path| path.display().to_string());
-            let place = path.or_else(|| self.topic(report.sensor).map(str::to_owned))?;
+            let place = path.or_else(|| self.topic(report.sensor).map(str::to_owned));
+            let place = place.map_or(String::new(), |place| format!(" {place}"));
             let reason = report.rejected?;
-            Some(format!("the {} {place} is not used: {reason}", report.sensor))
+            Some(format!("the {}{place} is not used: {reason}", report.sensor))
         };
         reports.iter().filter_map(sentence).collect()
     }

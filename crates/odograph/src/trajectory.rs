@@ -5,6 +5,7 @@ use crate::geometry::GroundPose;
 use crate::geometry::pose_index::{HEADING, X, Y};
 use nalgebra::{Isometry3, Matrix3, Matrix6};
 use serde::{Deserialize, Serialize};
+use std::borrow::Cow;
 use std::fmt;
 
 /// Whether the motion of a frame was measured.
@@ -137,7 +138,8 @@ pub struct FrameEstimate {
     pub time_s: f64,
     /// Whether the motion was measured.
     pub status: TrackStatus,
-    /// The pose; present exactly if [`FrameEstimate::status`] is [`TrackStatus::Tracked`].
+    /// The pose; present exactly if [`FrameEstimate::status`] is [`TrackStatus::Tracked`], except
+    /// that a live run dead-reckons lost frames from other sensors while it lasts.
     pub estimate: Option<PoseEstimate>,
     /// Number of corners tracked into this frame.
     pub tracks: usize,
@@ -153,6 +155,19 @@ pub struct FrameEstimate {
 }
 
 impl FrameEstimate {
+    /// Whether the pose is dead-reckoned from other sensors: the camera has lost the ground.
+    pub fn is_reckoned(&self) -> bool {
+        self.estimate.is_some() && self.status != TrackStatus::Tracked
+    }
+
+    /// The frame with the camera's pose only: without one that is dead-reckoned.
+    pub fn measured(&self) -> Cow<'_, Self> {
+        match self.is_reckoned() {
+            true => Cow::Owned(Self { estimate: None, ..self.clone() }),
+            false => Cow::Borrowed(self),
+        }
+    }
+
     /// The pose from which the image shows the ground; `None` if it is not known, and for a
     /// repeated image, whose pose is extrapolated and has no tracks.
     pub fn ground_pose(&self) -> Option<GroundPose> {

@@ -10,6 +10,7 @@ mod statistics;
 use crate::earth::{self, Antenna, FOUND_RIG, GnssRecord, OnEarth, RECEIVED_FIXES};
 use crate::folder::{OutputFolder, RUN_FILES};
 use crate::found::{FoundLens, FoundReadout};
+use crate::found_rig::{self, FoundMounting};
 use crate::kept_frames::KeptFrames;
 use crate::marker_statistics::MarkerStatistics;
 use crate::observer::Observer;
@@ -30,7 +31,7 @@ use abrupt::widen_abrupt;
 use improvement::{Improved, carrier_frames};
 use odograph::error::{Error, Result};
 use odograph::filter::fusion::{SensorReport, Sensors};
-use odograph::formats::camera_file;
+use odograph::formats::{camera_file, rig_file};
 use odograph::georeference::Anchor;
 use odograph::image::ImageDefects;
 use odograph::mosaic::Mosaic;
@@ -353,20 +354,29 @@ impl Finishing<'_> {
             None => None,
         };
         self.warn(on_earth.iter().flat_map(|on_earth| on_earth.warnings.clone()));
-        self.write_found_rig(&improved.antenna)?;
+        self.write_found_rig(&improved.antenna, &improved.sensors)?;
         let place = on_earth.as_ref().and_then(|on_earth| on_earth.place.as_ref());
         earth::write(self.folder, place, summaries)?;
         Ok(on_earth)
     }
 
-    /// The rig file with the antenna that was found. One of an earlier run that is the input of
-    /// this one is kept.
-    fn write_found_rig(&mut self, antenna: &Antenna) -> Result<()> {
-        if let Some(found) = antenna.found_rig(&self.plan.rig) {
+    /// The rig file with what was found of camera and antenna. One of an earlier run that is the
+    /// input of this one is kept.
+    fn write_found_rig(&mut self, antenna: &Antenna, sensors: &[SensorReport]) -> Result<()> {
+        let rig = &self.plan.rig;
+        let mounting = FoundMounting::of(sensors, rig);
+        if let Some(found) = found_rig::text(rig, mounting.as_ref(), antenna) {
+            if let Some(mounting) = mounting {
+                self.ending.observer.note(&mounting.sentence());
+            }
             return self.folder.write(FOUND_RIG, found.as_bytes());
         }
         let there = files::read_text(&self.folder.path().join(FOUND_RIG));
-        match there.is_ok_and(|text| antenna.is_stated_by(&text)) {
+        let is_input = |text: &String| {
+            rig_file::parse(text).is_ok_and(|there| there.lever_arm == rig.lever_arm)
+                && rig_file::parse_antenna(text).is_ok_and(|there| there == antenna.stated_at())
+        };
+        match rig.lever_arm.is_some() && there.is_ok_and(|text| is_input(&text)) {
             true => Ok(()),
             false => self.folder.remove(FOUND_RIG),
         }

@@ -1,78 +1,21 @@
-//! A satellite receiver beside a live source: positions as they come, from a pipe, a serial device,
-//! standard input or datagrams.
+//! A satellite receiver beside a live source: positions as they come.
 
+use super::line_source::{LineSink, LineSource};
 use crate::earth::GnssRecord;
 use odograph::error::{Error, Result};
 use odograph::formats::gnss_file::{GnssLines, ReceivedFixes};
 use odograph::georeference::GnssFix;
 use odograph::numerics::median;
-use std::fs::File;
-use std::io::{self, Read};
-use std::net::UdpSocket;
-use std::path::{Path, PathBuf};
+use std::net::SocketAddr;
 use std::sync::atomic::{AtomicBool, Ordering};
 use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
-use std::thread;
 use std::time::{Duration, Instant};
 
-/// Longest line that is read, bytes; longer ones are no sentences of a receiver.
-const LONGEST_LINE: usize = 1024;
 /// Longest time between a frame and a line for which the time of the line is known by the frame's.
 const LONGEST_GAP: Duration = Duration::from_secs(2);
-/// Pause before a pipe or device that ended is opened again.
-const AGAIN: Duration = Duration::from_millis(200);
-/// Wait for a datagram after which the end of the run is noticed.
-const PATIENCE: Duration = Duration::from_millis(500);
 
-/// Where the positions of a receiver come from.
-#[derive(Debug, Clone, PartialEq)]
-pub enum GnssSource {
-    /// Standard input.
-    Input,
-    /// A pipe or a serial device.
-    Device(PathBuf),
-    /// Datagrams to this address, `HOST:PORT`.
-    Datagrams(String),
-}
-
-impl GnssSource {
-    /// The source of this name: `-`, `udp:HOST:PORT`, `udp:PORT` (of this machine), a pipe or a
-    /// device. `None` for an ordinary file.
-    ///
-    /// # Errors
-    /// If there is no such file, or the address is invalid.
-    pub fn named(name: &str) -> Result<Option<Self>> {
-        if name == "-" {
-            return Ok(Some(Self::Input));
-        }
-        if let Some(address) = name.strip_prefix("udp:") {
-            let address = match address.contains(':') {
-                true => address.to_owned(),
-                false => format!("127.0.0.1:{address}"),
-            };
-            let is_port = address.rsplit_once(':').is_some_and(|(_, port)| port.parse::<u16>().is_ok());
-            return match is_port {
-                true => Ok(Some(Self::Datagrams(address))),
-                false => Err(Error::usage(format!(
-                    "{name} is no address for the positions of a receiver; give udp:PORT or udp:HOST:PORT, such as udp:10110"
-                ))),
-            };
-        }
-        let metadata = std::fs::metadata(name).map_err(|error| {
-            Error::input(format!("the positions of the receiver cannot be read from {name}: {error}"))
-                .caused_by(error)
-        })?;
-        Ok((!metadata.is_file() && !metadata.is_dir()).then(|| Self::Device(PathBuf::from(name))))
-    }
-
-    fn name(&self) -> String {
-        match self {
-            Self::Input => "standard input".to_owned(),
-            Self::Device(path) => path.display().to_string(),
-            Self::Datagrams(address) => format!("udp:{address}"),
-        }
-    }
-}
+/// What is read, for messages.
+pub const POSITIONS: &str = "positions of the receiver";
 
 /// The positions of a live run.
 pub enum LiveGnss {
@@ -152,6 +95,12 @@ impl Heard {
     fn lines(&self) -> MutexGuard<'_, TimedLines> {
         self.lines.lock().unwrap_or_else(PoisonError::into_inner)
     }
+}
+
+impl LineSink for Heard {
+    fn take(&self, line: &str, arrived: Option<Instant>, _: Option<SocketAddr>) {
+        self.lines().take(line, arrived.unwrap_or_else(Instant::now));
+    }
 
     fn is_ended(&self) -> bool {
         self.is_ended.load(Ordering::Relaxed)
@@ -163,25 +112,9 @@ impl GnssReceiver {
     ///
     /// # Errors
     /// If the port cannot be opened.
-    pub fn open(source: &GnssSource) -> Result<Self> {
+    pub fn open(source: &LineSource) -> Result<Self> {
         let heard = Arc::new(Heard::default());
-        let shared = Arc::clone(&heard);
-        match source.clone() {
-            GnssSource::Input => drop(thread::spawn(move || read_lines(io::stdin().lock(), &shared))),
-            GnssSource::Device(path) => drop(thread::spawn(move || read_device(&path, &shared))),
-            GnssSource::Datagrams(address) => {
-                let socket = UdpSocket::bind(&address).and_then(|socket| {
-                    socket.set_read_timeout(Some(PATIENCE))?;
-                    Ok(socket)
-                });
-                let socket = socket.map_err(|error| {
-                    Error::usage(format!(
-                        "the positions of a receiver cannot be received at {address}: {error}; give another port"
-                    ))
-                })?;
-                drop(thread::spawn(move || read_datagrams(&socket, &shared)));
-            }
-        }
+        source.read(POSITIONS, Arc::clone(&heard) as Arc<dyn LineSink>)?;
         Ok(Self { name: source.name(), heard })
     }
 
@@ -207,86 +140,11 @@ impl Drop for GnssReceiver {
     }
 }
 
-/// Reads lines until the end or until the run ends.
-fn read_lines(mut input: impl Read, heard: &Heard) {
-    let mut line: Vec<u8> = Vec::new();
-    let mut bytes = [0; 512];
-    loop {
-        let count = match input.read(&mut bytes) {
-            Ok(0) => break,
-            Ok(count) => count,
-            Err(error) if error.kind() == io::ErrorKind::Interrupted => continue,
-            Err(_) => break,
-        };
-        if heard.is_ended() {
-            return;
-        }
-        let now = Instant::now();
-        for &byte in &bytes[..count] {
-            if byte != b'\n' && byte != b'\r' {
-                // Beyond the longest line nothing is kept but that it is too long.
-                if line.len() <= LONGEST_LINE {
-                    line.push(byte);
-                }
-            } else if !line.is_empty() {
-                take(&line, now, heard);
-                line.clear();
-            }
-        }
-    }
-    // A datagram may end without a line break.
-    if !line.is_empty() {
-        take(&line, Instant::now(), heard);
-    }
-}
-
-fn take(line: &[u8], now: Instant, heard: &Heard) {
-    if line.len() <= LONGEST_LINE {
-        heard.lines().take(&String::from_utf8_lossy(line), now);
-    }
-}
-
-/// Reads a pipe or a device, again after its other end was closed.
-fn read_device(path: &Path, heard: &Heard) {
-    while !heard.is_ended() {
-        // Opening a pipe blocks until another program opens it for writing.
-        if let Ok(file) = File::open(path) {
-            read_lines(file, heard);
-        }
-        thread::sleep(AGAIN);
-    }
-}
-
-fn read_datagrams(socket: &UdpSocket, heard: &Heard) {
-    let mut bytes = [0; 1 << 16];
-    while !heard.is_ended() {
-        match socket.recv(&mut bytes) {
-            Ok(count) => read_lines(&bytes[..count], heard),
-            Err(error) if matches!(error.kind(), io::ErrorKind::WouldBlock | io::ErrorKind::TimedOut) => {}
-            Err(_) => thread::sleep(AGAIN),
-        }
-    }
-}
-
 #[cfg(test)]
 mod tests {
     #![allow(clippy::unwrap_used)] // a test fails by panicking
 
     use super::*;
-
-    #[test]
-    fn sources_are_recognised_by_their_names() {
-        let named = |name: &str| GnssSource::named(name).unwrap();
-        assert_eq!(named("-"), Some(GnssSource::Input));
-        assert_eq!(named("udp:10110"), Some(GnssSource::Datagrams("127.0.0.1:10110".to_owned())));
-        assert_eq!(named("udp:[::1]:7"), Some(GnssSource::Datagrams("[::1]:7".to_owned())));
-        assert_eq!(named("Cargo.toml"), None);
-        assert_eq!(named("/dev/null"), Some(GnssSource::Device("/dev/null".into())));
-        for bad in ["udp:", "udp:host:", "udp:99999", "not-there.csv"] {
-            let message = GnssSource::named(bad).unwrap_err().to_string();
-            assert!(message.contains(bad) && !message.contains('\n'), "{message}");
-        }
-    }
 
     #[test]
     fn positions_have_the_time_of_the_frames() {
@@ -317,16 +175,5 @@ mod tests {
         heard.lines().take("time_s,lat,lon", Instant::now());
         heard.lines().take("1,48,16", Instant::now());
         assert!(std::mem::take(&mut *heard.lines()).received().0.is_empty());
-    }
-
-    #[test]
-    fn lines_are_read_whole_and_long_ones_left_out() {
-        let heard = Heard::default();
-        let long = "9".repeat(3000);
-        let text = format!("time_s,lat,lon\r\n1,48,16\r\n{long}\n2,48,16\n3,48,16");
-        read_lines(text.as_bytes(), &heard);
-        let lines = std::mem::take(&mut *heard.lines());
-        assert_eq!(lines.arrivals_s.len(), 4);
-        assert_eq!(lines.lines.received().fixes.len(), 3);
     }
 }

@@ -30,21 +30,25 @@ mod capturing;
 mod gnss;
 mod ground;
 mod latency;
+mod line_source;
 mod mosaic_rendering;
 mod map_graph;
 mod mcap;
 mod page_layers;
 mod pipeline;
 mod recorder;
+mod sensors;
 mod sinks;
 mod source;
 mod map_frame;
 
 pub use capturing::{FAREWELL, FRAMES_WAITING, Farewell, PATIENCE, STATUS_EVERY, capture};
-pub use gnss::GnssSource;
+pub use gnss::POSITIONS;
+pub use line_source::LineSource;
 pub use map_graph::{map_graph, map_markers};
 pub use page_layers::show_map_of_run;
 pub use recorder::folder_name_now;
+pub use sensors::SensorSources;
 pub use sinks::{LiveFrame, PoseSink};
 pub use source::{CaptureOptions, LiveInput, open_live_input};
 
@@ -73,6 +77,7 @@ use odograph_map::MapFile;
 use odograph_video::{SourceInfo, TemporaryFolder};
 use pipeline::PipelineInput;
 use recorder::Recorder;
+use sensors::{LiveFusion, LiveSensors};
 use sinks::LiveSinks;
 use std::fmt;
 use std::path::{Path, PathBuf};
@@ -89,7 +94,10 @@ pub struct LiveOptions {
     /// An MCAP file to write poses, pictures and path into.
     pub mcap: Option<PathBuf>,
     /// A satellite receiver that sends its positions during the run.
-    pub gnss: Option<GnssSource>,
+    pub gnss: Option<LineSource>,
+    /// Sensors that send their readings during the run. Those of files are in the plan; such files
+    /// may grow.
+    pub sensors: SensorSources,
 }
 
 impl RunBuilder {
@@ -157,6 +165,7 @@ impl RunBuilder {
                 LiveGnss::Recorded(record)
             }
         };
+        let sensors = LiveSensors::open(&options.sensors, &plan.sensors, &plan.source.path, input.policy)?;
         let info = input.source.info().clone();
         let introduction = Introduction {
             title,
@@ -180,6 +189,7 @@ impl RunBuilder {
             hub,
             mcap: options.mcap.clone(),
             gnss,
+            sensors,
             output: self.output.clone(),
             reporter: self.reporter.clone(),
             temporary,
@@ -211,6 +221,7 @@ pub struct LiveRun {
     hub: Arc<Hub>,
     mcap: Option<PathBuf>,
     gnss: LiveGnss,
+    sensors: LiveSensors,
     output: RunOutput,
     reporter: Option<Arc<dyn RunReporter>>,
     /// Last, so that the folder is removed after all else is closed.
@@ -260,7 +271,9 @@ impl LiveRun {
     }
 
     fn followed(self, poses: Option<&mut dyn PoseSink>, observer: &dyn Observer) -> Result<RunOutcome> {
-        let Self { plan, info, input, watch, folder, ground, hub, mcap, gnss, output, reporter, .. } = self;
+        let Self {
+            plan, info, input, watch, folder, ground, hub, mcap, gnss, sensors, output, reporter, ..
+        } = self;
         // Of a map that is continued the lens is the map's.
         let lens_is_known = output.map.path().is_some_and(MapFile::is_there);
         let odometry = RecalibratedOdometry::online(&plan, lens_is_known)?;
@@ -279,7 +292,7 @@ impl LiveRun {
             started: Instant::now(),
         };
         let sinks = LiveSinks { poses, log: log.as_ref() };
-        let input = PipelineInput { frames: input, gnss };
+        let input = PipelineInput { frames: input, gnss, fusion: LiveFusion::new(sensors) };
         pipeline::follow(&plan, odometry, input, &watch, &ground, &hub, mapping, recorder, sinks, &ending)
     }
 }

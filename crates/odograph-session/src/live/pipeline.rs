@@ -10,6 +10,7 @@ use super::mcap::McapLog;
 use super::mosaic_rendering::MosaicRenderingSummary;
 use super::page_layers::{PageLayers, show_results};
 use super::recorder::Recorder;
+use super::sensors::LiveFusion;
 use super::sinks::{LiveFrame, LiveSinks, PoseSink};
 use super::source::LiveInput;
 use crate::finish::{Ending, finish, give_warnings};
@@ -24,11 +25,11 @@ use crate::recalibrated_odometry::RecalibratedOdometry;
 use crate::statistics::LiveStatistics;
 use crate::views::{MosaicFrames, Posed};
 use odograph::error::{Error, Result};
+use odograph::filter::fusion::Sensors;
 use odograph::fixed_pattern::ImageMask;
-use odograph::geometry::{PlaneTransform, Sim2};
+use odograph::geometry::{GroundPose, PlaneTransform, Sim2};
 use odograph::image::GrayImage;
 use odograph::odometry::{KeyframeEvent, TrackView};
-use odograph::trajectory::FrameEstimate;
 use odograph_live::capture::{Captured, Newest, Policy, Taken, Watch};
 use odograph_live::foxglove::TrackedImage;
 use odograph_live::{Hub, Phase, Status, TrackRecord, View};
@@ -48,17 +49,21 @@ const MAPPING_QUEUE: usize = 32;
 /// queue is empty: without it the map is faster than keyframes can come.
 const BEHIND: usize = 8;
 
+/// Time for which the page shows what was said about the sensors.
+const SENSORS_TOLD: Duration = Duration::from_secs(20);
+
 /// Inputs of the pipeline.
 pub struct PipelineInput {
     pub frames: LiveInput,
     pub gnss: LiveGnss,
+    pub fusion: LiveFusion,
 }
 
 /// Tracks a source until it ends or the run is asked to end, then writes everything.
 pub fn follow(
     plan: &RunPlan,
     tracker: RecalibratedOdometry,
-    PipelineInput { frames: opened, gnss }: PipelineInput,
+    PipelineInput { frames: opened, gnss, fusion }: PipelineInput,
     watch: &Watch,
     ground: &LiveGround,
     hub: &Arc<Hub>,
@@ -74,6 +79,7 @@ pub fn follow(
         times: StageTimes::default(),
         latencies: Latencies::default(),
         distance_m: 0.0,
+        seen_before: None,
         recorder,
         poses,
         observer: ending.observer,
@@ -81,6 +87,8 @@ pub fn follow(
         hub,
         shown: ground.is_shown(),
         gnss: &gnss,
+        fusion,
+        told: None,
         watch,
         queue: Arc::new(Newest::new(opened.policy, FRAMES_WAITING)),
         policy: opened.policy,
@@ -98,7 +106,8 @@ pub fn follow(
     ending.observer.tracking_ends();
     watch.end();
     following.queue.close();
-    let Farewell { warnings, failure, sensors, dropped } = ended.recv_timeout(FAREWELL).unwrap_or_default();
+    let Farewell { warnings, failure, sensors: of_source, dropped } =
+        ended.recv_timeout(FAREWELL).unwrap_or_default();
     following.send_status(Phase::Saving);
     let rendered = ground.finish().ok_or_else(|| Error::usage("a live run ends once"))?;
     let MosaicRenderingSummary { views, failure: not_kept, times } = rendered;
@@ -106,7 +115,15 @@ pub fn follow(
     // Also those that were set since tracking ended.
     hub.close_marks();
     following.recorder.record_marks(hub);
-    let warnings = warnings.into_iter().chain(log.into_iter().flat_map(McapLog::warnings)).collect();
+    let (received, left_out) = following.fusion.finish();
+    let warnings = warnings.into_iter().chain(left_out).chain(log.into_iter().flat_map(McapLog::warnings));
+    let warnings = warnings.collect();
+    let sensors = Sensors {
+        gyro: received.gyro.or(of_source.gyro),
+        heading: received.heading.or(of_source.heading),
+        wheel: received.wheel.or(of_source.wheel),
+        range: received.range.or(of_source.range),
+    };
     let failure = outcome.err().or(failure).or(not_kept);
     let (mut tracked, mut folder) = following.end(plan, mapping, views, warnings, dropped, failure);
     tracked.interrupted = ending.observer.is_stop_asked() || hub.stop_asked();
@@ -178,6 +195,8 @@ struct Following<'a, 'p> {
     times: StageTimes,
     latencies: Latencies,
     distance_m: f64,
+    /// Place of the frame before, and its segment.
+    seen_before: Option<(GroundPose, usize)>,
     recorder: Recorder,
     poses: Option<&'a mut (dyn PoseSink + 'p)>,
     observer: &'a dyn Observer,
@@ -186,6 +205,9 @@ struct Following<'a, 'p> {
     /// Whether there may be viewers.
     shown: bool,
     gnss: &'a LiveGnss,
+    fusion: LiveFusion,
+    /// What was last said about the sensors, and when.
+    told: Option<(Instant, String)>,
     watch: &'a Watch,
     queue: Arc<Newest<(Captured, Duration)>>,
     policy: Policy,
@@ -287,12 +309,15 @@ impl Following<'_, '_> {
     fn track(&mut self, captured: Captured, decoding: Duration, beside: &Beside) -> Result<()> {
         let Captured { frame, at } = captured;
         self.gnss.frame(at, frame.time_s);
+        self.fusion.frame(at, frame.time_s);
         let begun = Instant::now();
         let (estimate, mut events) = self.tracker.process(&frame)?;
+        let mut reference = self.tracker.odometry.reference();
+        let fused = self.fusion.fuse(estimate, &mut events, &mut reference);
         let latency_ms = self.latencies.add(at.elapsed());
         self.times.decode.push(decoding);
         self.times.track.push(begun.elapsed());
-        let seen = self.tracker.pose_frames.frame(&estimate);
+        let seen = self.tracker.pose_frames.frame(&fused);
         if let Some(poses) = &mut self.poses {
             let of = self.tracker.pose_frames.at(frame.number);
             let map_from_odometry = beside.map_from_odometry();
@@ -300,7 +325,7 @@ impl Following<'_, '_> {
             poses.take(&LiveFrame { estimate: &seen, of, latency_ms, map_from_odometry, is_recognised })?;
         }
         self.observer.frame(&seen);
-        self.recorder.record(&seen);
+        self.recorder.record(&seen.measured());
         if let Some(log) = self.log {
             let tracks = || self.tracker.odometry.tracks().to_vec();
             log.give(&seen, self.tracker.pose_frames.at(frame.number), latency_ms, || TrackedImage {
@@ -308,8 +333,7 @@ impl Following<'_, '_> {
                 tracks: tracks(),
             });
         }
-        let first_time_s = self.frames.first_time_s().unwrap_or(estimate.time_s);
-        let reference = self.tracker.odometry.reference();
+        let first_time_s = self.frames.first_time_s().unwrap_or(fused.time_s);
         let keyframe = reference.map(|reference| reference.keyframe.0);
         // Without viewers the path need not be kept in memory.
         if self.shown {
@@ -320,10 +344,11 @@ impl Following<'_, '_> {
                 beside.views.give(PageImage { record, gray: frame.gray.clone(), tracks });
             }
         }
-        self.distance_m += self.step_m(&seen);
-        let pose = estimate.ground_pose();
-        let segment = estimate.segment;
-        self.frames.push(estimate, reference);
+        let place = seen.estimate.as_ref().map(|known| (known.pose, seen.segment));
+        self.distance_m += self.step_m(place);
+        let pose = fused.ground_pose();
+        let segment = fused.segment;
+        self.frames.push(fused.measured().into_owned(), reference);
         number_as_source(&mut events, |index| self.frames.number_in_source(index));
         let is_keyframe = is_made(&events, frame.number);
         if self.shown && is_keyframe {
@@ -340,17 +365,20 @@ impl Following<'_, '_> {
     }
 
     /// Distance since the previous frame, where both have connected poses, metres.
-    fn step_m(&self, next: &FrameEstimate) -> f64 {
-        let before = self.frames.last().filter(|before| before.segment == next.segment);
-        let before = before.map(|before| self.tracker.pose_frames.frame(before));
-        match (before.as_ref().and_then(|before| before.estimate.as_ref()), &next.estimate) {
-            (Some(a), Some(b)) => b.pose.distance_m(&a.pose),
+    fn step_m(&mut self, next: Option<(GroundPose, usize)>) -> f64 {
+        match (std::mem::replace(&mut self.seen_before, next), next) {
+            (Some((before, segment)), Some((pose, now))) if segment == now => pose.distance_m(&before),
             _ => 0.0,
         }
     }
 
     fn send_status(&mut self, phase: Phase) {
         self.status_sent = Some(Instant::now());
+        for sentence in self.fusion.take_news() {
+            self.observer.warn(&sentence);
+            self.told = Some((Instant::now(), sentence));
+        }
+        self.told.take_if(|(told, _)| told.elapsed() >= SENSORS_TOLD);
         let (fps, latency_median_ms, latency_p99_ms) = self.latencies.recent();
         let (captured, dropped) = self.queue.counts();
         self.hub.set_status(Status {
@@ -359,7 +387,8 @@ impl Following<'_, '_> {
                 .watch
                 .waiting()
                 .or_else(|| self.recorder.message())
-                .or_else(|| self.log.and_then(McapLog::message)),
+                .or_else(|| self.log.and_then(McapLog::message))
+                .or_else(|| self.told.as_ref().map(|(_, sentence)| sentence.clone())),
             captured,
             dropped,
             fps,

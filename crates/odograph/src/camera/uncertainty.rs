@@ -26,13 +26,20 @@ pub struct RigDeviations {
     pub pitch_rad: Option<f64>,
     /// Of the mount yaw, radians.
     pub yaw_rad: Option<f64>,
+    /// Of the camera's place ahead of `base_link`, metres.
+    pub x_m: Option<f64>,
+    /// Of the camera's place to the left of `base_link`, metres.
+    pub y_m: Option<f64>,
+    /// Of the place of a satellite receiver's antenna, ahead and to the left, metres.
+    pub antenna_m: Option<f64>,
 }
 
 impl RigDeviations {
     /// From the covariance of (height, roll, pitch).
     pub fn of(covariance: &Matrix3<f64>, yaw_rad: Option<f64>) -> Self {
         let deviation = |i: usize| Some(covariance[(i, i)].sqrt());
-        Self { height_m: deviation(0), roll_rad: deviation(1), pitch_rad: deviation(2), yaw_rad }
+        let [height_m, roll_rad, pitch_rad] = [0, 1, 2].map(deviation);
+        Self { height_m, roll_rad, pitch_rad, yaw_rad, ..Self::default() }
     }
 }
 

@@ -14,7 +14,8 @@
 //! Each angle may be in radians instead (`roll_rad`, …), and each of the four lengths a text with
 //! its unit (`height = "75cm"`, `x = "300mm"`). A measured rig also has standard deviations, which
 //! [`parse_measured`] reads: `height_deviation_m`, `roll_deviation_deg`, `pitch_deviation_deg`,
-//! `yaw_deviation_deg`. Any other key is an error, because a misspelt angle would otherwise be 0.
+//! `yaw_deviation_deg`, `x_deviation_m`, `y_deviation_m`, and `gnss_lever_arm_deviation_m` along
+//! each horizontal axis. Any other key is an error, because a misspelt angle would otherwise be 0.
 
 use super::length;
 use crate::camera::{LeverArm, MeasuredRig, Rig, RigDeviations};
@@ -26,7 +27,7 @@ use toml::{Table, Value};
 const MAX_BYTES: usize = 1 << 20;
 
 /// All valid keys.
-const KEYS: [&str; 19] = [
+const KEYS: [&str; 22] = [
     "height_m",
     "roll_deg",
     "pitch_deg",
@@ -38,6 +39,9 @@ const KEYS: [&str; 19] = [
     "roll_deviation_deg",
     "pitch_deviation_deg",
     "yaw_deviation_deg",
+    "x_deviation_m",
+    "y_deviation_m",
+    "gnss_lever_arm_deviation_m",
     "x_m",
     "y_m",
     "z_m",
@@ -168,10 +172,17 @@ pub fn write(rig: &Rig) -> String {
 /// Writes a measured rig: the output of [`write()`] with a line for each known standard deviation.
 pub fn write_measured(measured: &MeasuredRig) -> String {
     let mut text = write(&measured.rig);
-    let RigDeviations { height_m, roll_rad, pitch_rad, yaw_rad } = measured.deviations;
+    let RigDeviations { height_m, roll_rad, pitch_rad, yaw_rad, x_m, y_m, antenna_m } = measured.deviations;
     let degrees = [("roll", roll_rad), ("pitch", pitch_rad), ("yaw", yaw_rad)]
         .map(|(name, deviation)| (format!("{name}_deviation_deg"), deviation.map(f64::to_degrees)));
-    let all = std::iter::once(("height_deviation_m".to_owned(), height_m)).chain(degrees);
+    let lengths = [
+        ("height_deviation_m", height_m),
+        ("x_deviation_m", x_m),
+        ("y_deviation_m", y_m),
+        ("gnss_lever_arm_deviation_m", antenna_m),
+    ]
+    .map(|(key, deviation)| (key.to_owned(), deviation));
+    let all = lengths.into_iter().chain(degrees);
     for (key, deviation) in all {
         if let Some(deviation) = deviation {
             // Three significant digits; a standard deviation is not known more precisely.
@@ -200,6 +211,9 @@ pub fn parse_measured(text: &str) -> Result<MeasuredRig> {
             roll_rad: angle("roll_deviation_deg")?,
             pitch_rad: angle("pitch_deviation_deg")?,
             yaw_rad: angle("yaw_deviation_deg")?,
+            x_m: deviation("x_deviation_m")?,
+            y_m: deviation("y_deviation_m")?,
+            antenna_m: deviation("gnss_lever_arm_deviation_m")?,
         },
     })
 }
@@ -350,11 +364,17 @@ mod tests {
             roll_rad: Some(0.002),
             pitch_rad: Some(0.0031),
             yaw_rad: None,
+            x_m: Some(0.002),
+            y_m: Some(0.003),
+            antenna_m: Some(0.004),
         };
         let text = write_measured(&MeasuredRig { rig, deviations });
         assert_eq!(parse(&text).unwrap(), rig);
         let back = parse_measured(&text).unwrap();
         assert_eq!((back.rig, back.deviations.yaw_rad), (rig, None));
+        let RigDeviations { x_m, y_m, antenna_m, .. } = back.deviations;
+        assert_eq!((x_m, y_m, antenna_m), (Some(0.002), Some(0.003), Some(0.004)));
+        assert!(parse_measured("height_m = 1\nx_deviation_m = -1").is_err());
         assert!((back.deviations.pitch_rad.unwrap() / 0.0031 - 1.0).abs() < 1e-2, "{text}");
         assert!(parse_measured("height_m = 1\nroll_deviation_deg = -1").is_err());
         assert_eq!(parse_measured("height_m = 1").unwrap().deviations, RigDeviations::default());

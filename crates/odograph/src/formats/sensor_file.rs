@@ -59,12 +59,11 @@ pub fn parse(text: &str, sensor: SensorKind) -> Result<SensorRecord> {
         columns.map(|columns| (known, columns))
     });
     let Some((known, columns)) = chosen.filter(|_| table.has_time()) else {
-        let wanted: Vec<String> = of_sensor().map(|known| known.names.join(",")).collect();
         return Err(Error::input(format!(
             "line {} is {:?}; it must name the columns, time_s and {}",
             table.header_line,
             shortened(table.header),
-            wanted.join(" or ")
+            self::columns(sensor)
         )));
     };
     let mut times_s: Vec<f64> = Vec::new();
@@ -76,6 +75,23 @@ pub fn parse(text: &str, sensor: SensorKind) -> Result<SensorRecord> {
         }
     }
     SensorRecord::new(known.quantity, times_s, channels)
+}
+
+/// The reading of a sensor among values with the names of columns, in SI units; `None` if it is not
+/// among them.
+pub fn reading(sensor: SensorKind, value: impl Fn(&str) -> Option<f64>) -> Option<(Quantity, Vec<f64>)> {
+    KNOWN.iter().filter(|known| known.sensor == sensor).find_map(|known| {
+        let values: Option<Vec<f64>> =
+            known.names.iter().map(|name| value(name).map(|value| known.factor * value)).collect();
+        values.map(|values| (known.quantity, values))
+    })
+}
+
+/// Names of the columns that a sensor may have beside `time_s`, for messages.
+pub fn columns(sensor: SensorKind) -> String {
+    let names: Vec<String> =
+        KNOWN.iter().filter(|known| known.sensor == sensor).map(|known| known.names.join(",")).collect();
+    names.join(" or ")
 }
 
 /// Writes a record for [`parse`], rounded to 1e-6 s and 1e-6 of its unit.

@@ -82,7 +82,7 @@ pub fn measure(arguments: &GroundArguments) -> Result<RigMeasurement> {
                 height_m: height_deviation_m,
                 roll_rad: Some(found.covariance[(0, 0)].sqrt()),
                 pitch_rad: Some(found.covariance[(1, 1)].sqrt()),
-                yaw_rad: None,
+                ..RigDeviations::default()
             },
         },
         summary: summary(found),

@@ -2,16 +2,15 @@
 //! a page in the browser.
 
 mod capture_arguments;
-mod gnss_arguments;
 mod outputs;
 mod ros2;
+mod sensor_arguments;
 mod serving;
 
 use super::run::{ConsoleObserver, LogArguments, MarkerArguments, MountedCameraArguments, print_summary};
 use super::site::SiteLinkArguments;
 use crate::Outcome;
 pub use capture_arguments::CaptureArguments;
-use gnss_arguments::GnssArguments;
 use odograph::error::Result;
 use odograph_live::Phase;
 use odograph_report::HtmlReporter;
@@ -19,6 +18,7 @@ use odograph_session::live::{LiveOptions, folder_name_now};
 use odograph_session::{MapUse, RunBuilder, SourcePlan};
 use outputs::Outputs;
 use ros2::{Ros2Arguments, Ros2Run};
+use sensor_arguments::{LiveSensorArguments, NamedSensors};
 pub use serving::{Offer, ServeArguments, Serving};
 use std::path::PathBuf;
 use std::sync::Arc;
@@ -43,7 +43,7 @@ pub struct LiveArguments {
     #[command(flatten)]
     pub markers: MarkerArguments,
     #[command(flatten)]
-    pub gnss: GnssArguments,
+    pub sensors: LiveSensorArguments,
     #[command(flatten)]
     pub ros2: Ros2Arguments,
     #[command(flatten)]
@@ -91,6 +91,7 @@ Examples:
   odograph live drive.mp4 --camera camera.yaml --height 1.20 --mcap drive.mcap -o drive/
   odograph live /dev/video0 --camera camera.yaml --height 1.20 --map hall.gpkg --print poses | robot
   odograph live /dev/video0 --camera camera.yaml --height 1.20 --gnss /dev/ttyACM0 -o field/
+  odograph live /dev/video0 --camera camera.yaml --rig rig.toml --gyro udp:9001 --wheel udp:9001
   odograph live /dev/video0 --camera camera.yaml --height 1.20 --site http://hall:8137/ --robot cart";
 
 /// Formats of the line printed for each frame.
@@ -120,13 +121,13 @@ pub fn live(arguments: LiveArguments) -> Result<Outcome> {
     let mut outputs = Outputs::new(&arguments)?;
     arguments.mounted.setup.question(arguments.quiet);
     let observer = ConsoleObserver::without_progress(arguments.quiet).with_log(arguments.log);
-    let gnss = arguments.gnss.source(&arguments.source)?;
-    let files = arguments.gnss.files(gnss.is_some());
+    let NamedSensors { files, received, gnss } = arguments.sensors.named(&arguments.source)?;
     let options = LiveOptions {
         capture: arguments.capture.options(),
         shown: arguments.serve.serve.is_some(),
         mcap: arguments.mcap.clone(),
         gnss,
+        sensors: received,
     };
     let run = match Ros2Run::of(&arguments, &files)? {
         Some(ros2) => ros2.open(arguments.builder(), &options, &observer, &mut outputs)?,

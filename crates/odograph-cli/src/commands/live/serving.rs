@@ -1,7 +1,7 @@
 //! The page of a run: started with it, and kept after it while there are viewers.
 
 use crate::browser::OpeningBrowser;
-use crate::{address, console, interrupt};
+use crate::{address, console, interrupt, qr_code};
 use odograph::error::{Error, Result};
 use odograph_live::server::new_token;
 use odograph_live::{Hub, Phase, Server, ServerOptions};
@@ -98,10 +98,12 @@ impl Serving {
     }
 
     /// Prints the addresses of the page unless `quiet`, one per line, the first with `more` at its
-    /// end. Opens the page if that is asked for.
+    /// end; on a terminal, the first as a QR code if others can reach it. Opens the page if that is
+    /// asked for.
     pub fn show_address(&self, more: &str, quiet: bool) {
         let Some(server) = &self.server else { return };
-        let urls = server.urls_at(&address::reachable(server.address()));
+        let reachable = address::reachable(server.address());
+        let urls = server.urls_at(&reachable);
         if let Some(url) = urls.last().filter(|_| self.opens) {
             OpeningBrowser::at(url);
         }
@@ -110,6 +112,10 @@ impl Serving {
                 0 => format!("look at {url}{more}"),
                 _ => format!("or at {url}"),
             });
+        }
+        let is_for_others = reachable.first().is_some_and(|address| !address.ip().is_loopback());
+        if let Some(url) = urls.first().filter(|_| is_for_others && !quiet) {
+            console::draw_on_terminal(|| qr_code::lines(url).unwrap_or_default());
         }
     }
 

@@ -27,6 +27,17 @@ pub struct Calibrated {
     pub nis: f64,
 }
 
+impl Calibrated {
+    /// With the noise that all seconds show, not only most of them: a few seconds do not tell which
+    /// of them are exceptions.
+    pub fn widened(mut self) -> Self {
+        let factor = self.nis.max(1.0);
+        self.density *= factor;
+        self.covariance *= factor;
+        self
+    }
+}
+
 /// Maximum number of observations; more do not improve the estimate.
 const MAX_ROWS: usize = 5000;
 
@@ -56,8 +67,9 @@ fn thinned(steps: &[MotionStep]) -> Vec<MotionStep> {
     steps.iter().step_by(steps.len().div_ceil(MAX_ROWS).max(1)).copied().collect()
 }
 
-/// Calibrates a gyroscope against the camera's heading changes.
-pub fn gyro(record: &SensorRecord, steps: &[MotionStep]) -> Result<Calibrated, Reason> {
+/// Calibrates a gyroscope against the camera's heading changes. It may contradict them in
+/// `patience` seconds, however few are compared.
+pub fn gyro(record: &SensorRecord, steps: &[MotionStep], patience: usize) -> Result<Calibrated, Reason> {
     let channels = if record.quantity() == Quantity::TurnRates { 3 } else { 1 };
     let row = |step: &MotionStep, offset_s: f64| {
         let mut design = Vector4::new(0.0, 0.0, 0.0, -step.duration_s());
@@ -98,15 +110,16 @@ pub fn gyro(record: &SensorRecord, steps: &[MotionStep]) -> Result<Calibrated, R
             false => contradiction(&seconds, WORST_TURN_RAD.powi(2)),
         });
     }
-    believed(found)
+    believed(found, patience)
 }
 
 /// Smallest scale of a gyroscope that turns as the camera does: its rates are a hundred times too
 /// large, and those in degrees 57 times.
 const LEAST_SCALE: f64 = 0.01;
 
-/// Calibrates a wheel against the camera's translations.
-pub fn wheel(record: &SensorRecord, steps: &[MotionStep]) -> Result<Calibrated, Reason> {
+/// Calibrates a wheel against the camera's translations. It may contradict them in `patience`
+/// seconds, however few are compared.
+pub fn wheel(record: &SensorRecord, steps: &[MotionStep], patience: usize) -> Result<Calibrated, Reason> {
     let rows = |step: &MotionStep, offset_s: f64| {
         let way_m = record.between(0, step.from_s + offset_s, step.to_s + offset_s)?;
         let (turn, duration_s) = (step.turn_rad, step.duration_s());
@@ -127,11 +140,11 @@ pub fn wheel(record: &SensorRecord, steps: &[MotionStep]) -> Result<Calibrated, 
     if found.density.sqrt() > worst_m {
         return Err(contradiction(&seconds, worst_m.powi(2)));
     }
-    believed(found)
+    believed(found, patience)
 }
 
-fn believed(found: Calibrated) -> Result<Calibrated, Reason> {
-    if found.contradictions as f64 > MAX_CONTRADICTIONS * found.seconds as f64 {
+fn believed(found: Calibrated, patience: usize) -> Result<Calibrated, Reason> {
+    if found.contradictions as f64 > (MAX_CONTRADICTIONS * found.seconds as f64).max(patience as f64) {
         return Err(Reason::Contradicts { seconds: found.contradictions, of: found.seconds });
     }
     Ok(found)

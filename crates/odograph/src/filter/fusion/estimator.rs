@@ -38,6 +38,19 @@ pub struct Corrected {
     pub scale_variance: f64,
 }
 
+impl Corrected {
+    fn of(state: &FusionState, covariance: &StateMatrix) -> Self {
+        Self {
+            x_m: state[X],
+            y_m: state[Y],
+            turn_rad: state[HEADING],
+            scale: state[LN_SCALE].exp(),
+            covariance: covariance.fixed_view::<3, 3>(0, 0).into_owned(),
+            scale_variance: covariance[(LN_SCALE, LN_SCALE)].max(0.0),
+        }
+    }
+}
+
 /// Innovation consistency of a sensor.
 #[derive(Debug, Clone, Copy, Default)]
 pub struct Consistency {
@@ -107,8 +120,9 @@ pub fn estimate(
     forward.back(nodes.len())
 }
 
-struct Forward {
-    state: FusionState,
+/// The forward pass.
+pub struct Forward {
+    pub state: FusionState,
     covariance: StateMatrix,
     /// Largest relative variance of the camera's height so far.
     height_variance: f64,
@@ -118,7 +132,7 @@ struct Forward {
 }
 
 impl Forward {
-    fn new(first: &MeasuredFrame) -> Self {
+    pub fn new(first: &MeasuredFrame) -> Self {
         let mut state = FusionState::zeros();
         (state[X], state[Y]) = (first.x_m, first.y_m);
         let mut covariance = StateMatrix::zeros();
@@ -131,7 +145,7 @@ impl Forward {
     }
 
     /// Propagates by the camera's own motion.
-    fn follow(&mut self, before: &MeasuredFrame, node: &MeasuredFrame) {
+    pub fn follow(&mut self, before: &MeasuredFrame, node: &MeasuredFrame) {
         let (dx, dy) = (node.x_m - before.x_m, node.y_m - before.y_m);
         let corrected = Sim2::about_origin(self.state[HEADING], self.state[LN_SCALE].exp());
         let (mx, my) = corrected.rotate(dx, dy);
@@ -156,7 +170,7 @@ impl Forward {
     }
 
     /// Propagates across a gap by dead reckoning.
-    fn cross(
+    pub fn cross(
         &mut self,
         before: &MeasuredFrame,
         node: &MeasuredFrame,
@@ -210,6 +224,16 @@ impl Forward {
         self.events.push(Event::Measured { row, innovation, spread, gain });
     }
 
+    /// The correction at the newest node, as far as earlier ones tell it.
+    pub fn present(&self) -> Corrected {
+        Corrected::of(&self.state, &self.covariance)
+    }
+
+    /// Forgets what only the backward pass needs.
+    pub fn forget(&mut self) {
+        self.events.clear();
+    }
+
     fn back(self, count: usize) -> Estimate {
         let (mut adjoint, mut information) = (FusionState::zeros(), StateMatrix::zeros());
         let mut corrected = Vec::with_capacity(count);
@@ -229,14 +253,7 @@ impl Forward {
                 Event::MeasuredFrame(state, covariance) => {
                     let state = state - covariance * adjoint;
                     let covariance = covariance - covariance * information * covariance;
-                    corrected.push(Corrected {
-                        x_m: state[X],
-                        y_m: state[Y],
-                        turn_rad: state[HEADING],
-                        scale: state[LN_SCALE].exp(),
-                        covariance: covariance.fixed_view::<3, 3>(0, 0).into_owned(),
-                        scale_variance: covariance[(LN_SCALE, LN_SCALE)].max(0.0),
-                    });
+                    corrected.push(Corrected::of(&state, &covariance));
                 }
             }
         }
@@ -248,7 +265,7 @@ impl Forward {
 /// Standard deviation of the logarithm of the height's change over a gap of the given length: twice
 /// the root mean square change over such a time where it is measured, at most
 /// [`HEIGHT_CHANGE_PER_S`], which is also used where there are too few pairs of frames.
-fn height_change(nodes: &[MeasuredFrame], gap_s: f64) -> f64 {
+pub fn height_change(nodes: &[MeasuredFrame], gap_s: f64) -> f64 {
     let most = HEIGHT_CHANGE_PER_S * gap_s;
     let (mut later, mut squares, mut pairs) = (0, 0.0, 0);
     for node in nodes {

@@ -19,12 +19,14 @@ mod calibration;
 mod camera_motion;
 mod estimator;
 mod fit;
+mod online;
 mod reckoning;
 mod rejection;
 mod report;
 mod series;
 
 pub use fit::{MAX_OFFSET_S, TimeOffset};
+pub use online::{FusedFrame, LONGEST_DELAY_S, OnlineFusion, SensorCalibration};
 pub use rejection::Reason;
 pub use report::{SensorKind, SensorParameter, SensorReport};
 pub use series::{Quantity, SensorRecord};
@@ -32,7 +34,7 @@ pub use series::{Quantity, SensorRecord};
 use super::smoother::SmoothedFrame;
 use crate::geometry::pose_index::HEIGHT;
 use crate::geometry::{GroundPose, PlaneTransform, Se2, Sim2, propagated};
-use crate::trajectory::FrameEstimate;
+use crate::trajectory::{FrameEstimate, PoseEstimate};
 use bridge::{Bridge, rates_around};
 use calibration::{MAX_CONTRADICTIONS, Sighted};
 use camera_motion::{MeasuredFrame, MotionStep};
@@ -87,8 +89,8 @@ pub fn fuse(frames: &[FrameEstimate], sensors: &Sensors) -> Fusion {
             outcome.map(|outcome| outcome.unwrap_or_else(|reason| SensorReport::rejected(sensor, reason))),
         );
     };
-    let gyro = sensors.gyro.as_ref().map(|record| calibration::gyro(record, &steps));
-    let wheel = sensors.wheel.as_ref().map(|record| calibration::wheel(record, &steps));
+    let gyro = sensors.gyro.as_ref().map(|record| calibration::gyro(record, &steps, 0));
+    let wheel = sensors.wheel.as_ref().map(|record| calibration::wheel(record, &steps, 0));
     let mut heading = sensors.heading.as_ref().map(|record| calibration::heading(record, &nodes));
     let mut range = sensors.range.as_ref().map(|record| calibration::range(record, &nodes));
     let mut outcome: Option<(Estimate, Vec<Bridge>)> = None;
@@ -278,32 +280,8 @@ fn corrected(
         while k + 1 < nodes.len() && nodes[k + 1].index <= index {
             k += 1;
         }
-        let Some(known) = &mut frame.estimate else { continue };
-        let (node, correction) = (&nodes[k], &corrections[k]);
-        let Corrected { x_m, y_m, turn_rad, scale, .. } = *correction;
-        let turned = |x: f64, y: f64| Sim2::about_origin(turn_rad, scale).rotate(x, y);
-        let place = |x: f64, y: f64| {
-            let (dx, dy) = turned(x - node.x_m, y - node.y_m);
-            (x_m + dx, y_m + dy)
-        };
-        moved |= (x_m - node.x_m).hypot(y_m - node.y_m) > MIN_MOVE_M
-            || turn_rad.abs() > MIN_TURN_RAD
-            || (scale - 1.0).abs() > MIN_TURN_RAD;
-        let (pose, plane, velocity) = (&mut known.pose, &mut known.measured, &mut known.velocity);
-        (pose.x_m, pose.y_m) = place(pose.x_m, pose.y_m);
-        (plane.x_m, plane.y_m) = place(plane.x_m, plane.y_m);
-        pose.heading_rad += turn_rad;
-        plane.heading_rad += turn_rad;
-        pose.height_m *= scale;
-        (velocity.x_m_s, velocity.y_m_s) = turned(velocity.x_m_s, velocity.y_m_s);
-        plane.covariance = propagated(&Se2::rotation(turn_rad).product_by_right(), &plane.covariance);
-        let own = plane.covariance;
-        known.covariance.fixed_view_mut::<3, 3>(0, 0).copy_from(&(correction.covariance + own));
-        // The correlations between position and height held for the camera alone.
-        known.covariance.fixed_view_mut::<3, 3>(0, 3).fill(0.0);
-        known.covariance.fixed_view_mut::<3, 3>(3, 0).fill(0.0);
-        if known.covariance[(HEIGHT, HEIGHT)] > 0.0 {
-            known.covariance[(HEIGHT, HEIGHT)] = pose.height_m.powi(2) * correction.scale_variance;
+        if let Some(known) = &mut frame.estimate {
+            moved |= moved_by(known, &nodes[k], &corrections[k]);
         }
     }
     if !moved {
@@ -312,6 +290,36 @@ fn corrected(
     }
     let reckoned = Reckoned(bridges.iter().flat_map(|bridge| bridge.placed(&fused, nodes)).collect());
     Fusion { frames: fused, reports, moved, reckoned }
+}
+
+/// Applies the correction of a node to a frame that it holds for; whether that is more than
+/// rounding.
+fn moved_by(known: &mut PoseEstimate, node: &MeasuredFrame, correction: &Corrected) -> bool {
+    let Corrected { x_m, y_m, turn_rad, scale, .. } = *correction;
+    let turned = |x: f64, y: f64| Sim2::about_origin(turn_rad, scale).rotate(x, y);
+    let place = |x: f64, y: f64| {
+        let (dx, dy) = turned(x - node.x_m, y - node.y_m);
+        (x_m + dx, y_m + dy)
+    };
+    let (pose, plane, velocity) = (&mut known.pose, &mut known.measured, &mut known.velocity);
+    (pose.x_m, pose.y_m) = place(pose.x_m, pose.y_m);
+    (plane.x_m, plane.y_m) = place(plane.x_m, plane.y_m);
+    pose.heading_rad += turn_rad;
+    plane.heading_rad += turn_rad;
+    pose.height_m *= scale;
+    (velocity.x_m_s, velocity.y_m_s) = turned(velocity.x_m_s, velocity.y_m_s);
+    plane.covariance = propagated(&Se2::rotation(turn_rad).product_by_right(), &plane.covariance);
+    let own = plane.covariance;
+    known.covariance.fixed_view_mut::<3, 3>(0, 0).copy_from(&(correction.covariance + own));
+    // The correlations between position and height held for the camera alone.
+    known.covariance.fixed_view_mut::<3, 3>(0, 3).fill(0.0);
+    known.covariance.fixed_view_mut::<3, 3>(3, 0).fill(0.0);
+    if known.covariance[(HEIGHT, HEIGHT)] > 0.0 {
+        known.covariance[(HEIGHT, HEIGHT)] = pose.height_m.powi(2) * correction.scale_variance;
+    }
+    (x_m - node.x_m).hypot(y_m - node.y_m) > MIN_MOVE_M
+        || turn_rad.abs() > MIN_TURN_RAD
+        || (scale - 1.0).abs() > MIN_TURN_RAD
 }
 
 /// Corrections below 0.1 µm or 0.1 µrad are rounding.

@@ -30,6 +30,20 @@ pub enum Reason {
 const DEGREES_TIMES_LEAST: f64 = 45.0;
 const DEGREES_TIMES_MOST: f64 = 70.0;
 
+/// Seconds of comparison from which a contradiction is one of the sensor, and not of a start.
+const ENOUGH_SECONDS: usize = 5;
+
+impl Reason {
+    /// Whether too little of a drive was compared, so that more of it may say something else.
+    pub fn is_preliminary(&self) -> bool {
+        match self {
+            Self::NoOverlap | Self::TooLittleTurning | Self::TooLittleMovement => true,
+            Self::Contradicts { of, .. } => *of < ENOUGH_SECONDS,
+            Self::Scale { .. } => false,
+        }
+    }
+}
+
 impl fmt::Display for Reason {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         match self {

@@ -1,6 +1,8 @@
 //! Sensor fusion on synthetic odometry with exact ground truth: simulated paths and sensors,
 //! without rendering.
 
+mod online;
+
 use super::super::tests::smooth;
 use super::super::{FilterConfig, PoseSource};
 use super::*;
