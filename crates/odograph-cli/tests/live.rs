@@ -16,6 +16,8 @@ mod page_of_its_own;
 mod program;
 #[path = "live/rtsp.rs"]
 mod rtsp;
+#[path = "live/sensors.rs"]
+mod sensors;
 
 use browser::Browser;
 use program::{DEMO, LiveFolder, names, pictures, statistics, write_uncompressed};

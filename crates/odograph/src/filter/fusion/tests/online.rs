@@ -1,8 +1,9 @@
 //! Fusion while frames come, with readings only up to the present.
 
-use super::{dark, drive, followed, off_m};
+use super::{SIGMA_RAD, dark, drive, followed, off_m};
 use crate::camera::Rig;
 use crate::filter::fusion::{OnlineFusion, SensorCalibration, SensorRecord, Sensors};
+use crate::geometry::pose_index::HEADING;
 use crate::simulation::{PathKind, Simulation};
 use crate::trajectory::FrameEstimate;
 
@@ -67,6 +68,46 @@ impl Published {
                 (off_m(&self.simulation, time_s, &known.pose), sigma_m)
             })
             .collect()
+    }
+}
+
+#[test]
+fn poses_are_published_through_darkness_and_after_it() {
+    for seed in 1..=8 {
+        let drive = published(seed, 0.0, |_, speed| Some(speed));
+        let in_the_dark = drive.errors(6.0, 8.0);
+        // A clock that is behind has no reading after the last frame with a pose at first.
+        assert!((57..=60).contains(&in_the_dark.len()), "{}", in_the_dark.len());
+        for (off_m, sigma_m) in in_the_dark.iter().chain(&drive.errors(8.0, 60.0)) {
+            assert!(
+                *off_m < 0.05 && *off_m < 3.5 * sigma_m + 1e-3,
+                "seed {seed}: {off_m} m, sigma {sigma_m} m"
+            );
+            assert!(*sigma_m < 0.08, "seed {seed}: {sigma_m}");
+        }
+        let last = drive.frames.last().unwrap();
+        let known = last.estimate.as_ref().unwrap();
+        let truth = drive.simulation.truth(last.time_s);
+        let (off_rad, variance) =
+            (known.pose.heading_rad - truth.heading_rad, known.covariance[(HEADING, HEADING)]);
+        assert!(
+            off_rad.abs() < 3.5 * variance.sqrt() + 3.0 * SIGMA_RAD && variance.sqrt() < 0.02,
+            "{off_rad}"
+        );
+        // Before the darkness the sensors change nothing.
+        assert!(drive.errors(0.0, 6.0).iter().all(|(off_m, _)| *off_m < 3e-4));
+    }
+}
+
+#[test]
+fn late_readings_are_extrapolated_with_a_covariance_to_match() {
+    for seed in 1..=4 {
+        let drive = published(seed, 0.3, |_, speed| Some(speed));
+        let errors = drive.errors(6.0, 60.0);
+        assert!(errors.len() > 300);
+        for (off_m, sigma_m) in errors {
+            assert!(off_m < 0.2 && off_m < 3.5 * sigma_m + 1e-3, "seed {seed}: {off_m} m, sigma {sigma_m} m");
+        }
     }
 }
 
