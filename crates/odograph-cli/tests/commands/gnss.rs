@@ -232,7 +232,8 @@ fn an_antenna_that_was_found_is_written_for_the_next_run() {
     assert!(message.contains("is in rig-found.toml"), "{message}");
     let found = fs::read_to_string(here.join("found/rig-found.toml")).unwrap();
     let arm = rig_file::parse_antenna(&found).unwrap().unwrap();
-    let stated_m = found.split("± ").nth(1).unwrap().split(' ').next().unwrap().parse::<f64>().unwrap();
+    let stated = found.lines().find_map(|line| line.strip_prefix("gnss_lever_arm_deviation_m = ")).unwrap();
+    let stated_m = stated.parse::<f64>().unwrap();
     assert!((0.001..0.05).contains(&stated_m), "{found}");
     assert!((arm.x_m - ANTENNA[0]).hypot(arm.y_m - ANTENNA[1]) < 4.0 * stated_m, "{found}");
     let again = "run sim/frames --timestamps sim/frames.txt --camera sim/camera.yaml --gnss rtk.csv";

@@ -8,6 +8,7 @@ use std::fs;
 use std::io::{BufRead, BufReader, Read, Write};
 use std::net::UdpSocket;
 use std::process::{Command, Stdio};
+use std::time::{Duration, Instant};
 
 /// Darkness of the drive, seconds.
 const DARK_S: std::ops::Range<f64> = 6.0..8.0;
@@ -37,8 +38,11 @@ struct Played {
     said: String,
 }
 
-/// Gives the program the frames one by one, each after the pose of the one before, and the readings
-/// up to its time.
+/// Times as fast as the drive was: a growing file is looked at ten times a second.
+const HASTE: f64 = 2.0;
+
+/// Gives the program the frames one by one, each after the pose of the one before and not before
+/// its time, and the readings up to its time.
 fn play(place: &LiveFolder, arguments: &str, mut send: impl FnMut(f64)) -> Played {
     let arguments = format!(
         "live - --camera sim/camera.yaml --rig sim/rig.toml --print poses -o out --force {arguments}"
@@ -60,7 +64,10 @@ fn play(place: &LiveFolder, arguments: &str, mut send: impl FnMut(f64)) -> Playe
     frames.write_all(&video[..head]).unwrap();
     let mut lines = Vec::new();
     let each = (video.len() - head) / (11.0 * FRAMES_PER_S) as usize;
+    let begun = Instant::now();
     for (number, frame) in video[head..].chunks_exact(each).enumerate() {
+        let at = Duration::from_secs_f64(number as f64 / (HASTE * FRAMES_PER_S));
+        std::thread::sleep(at.saturating_sub(begun.elapsed()));
         frames.write_all(frame).unwrap();
         frames.flush().unwrap();
         lines.push(serde_json::from_str(&poses.next().unwrap().unwrap()).unwrap());
@@ -201,7 +208,9 @@ fn readings_as_they_come_need_frames_as_they_come() {
         ("- --wheel not-there.csv", "readings of the wheel cannot be read from not-there.csv"),
         ("- --wheel udp:7002 --gnss udp:7002", "give the satellite receiver a source of its own"),
     ] {
-        fs::write(place.path("drive.y4m"), "YUV4MPEG2 W64 H48 F30:1 Cmono\n").unwrap();
+        let frame = "a".repeat(640 * 480);
+        let video = format!("YUV4MPEG2 W640 H480 F30:1 Cmono\nFRAME\n{frame}");
+        fs::write(place.path("drive.y4m"), video).unwrap();
         let ended = place.command("live", &format!("{arguments} -o out")).output().unwrap();
         let said = String::from_utf8(ended.stderr).unwrap();
         assert!(!ended.status.success() && said.contains(part), "{arguments}: {said}");

@@ -98,7 +98,8 @@ impl Odometry {
         let stands = other.stands_still(keyframe, camera, prediction);
         let moves = self.seen_apart_px(prediction, &self.uncorrected(&last.pose)) > STILL_PX;
         let off_px = self.prediction_off_px(last, time_s).filter(|_| moves);
-        let is_predicted = |pose: &GroundPose, off_px: f64| self.seen_apart_px(pose, prediction) <= off_px + MATCH_PX;
+        let is_predicted =
+            |pose: &GroundPose, off_px: f64| self.seen_apart_px(pose, prediction) <= off_px + MATCH_PX;
         if !stands && off_px.is_none_or(|off_px| is_predicted(&other.estimate.pose, off_px)) {
             return measured;
         }

@@ -7,7 +7,9 @@ mod ros2;
 mod sensor_arguments;
 mod serving;
 
-use super::run::{ConsoleObserver, LogArguments, MarkerArguments, MountedCameraArguments, print_summary};
+use super::run::{
+    ConsoleObserver, LogArguments, MarkerArguments, MountedCameraArguments, print_summary, tell_warnings,
+};
 use super::site::SiteLinkArguments;
 use crate::Outcome;
 pub use capture_arguments::CaptureArguments;
@@ -147,6 +149,8 @@ pub fn live(arguments: LiveArguments) -> Result<Outcome> {
     drop(outputs);
     if arguments.print.is_none() {
         print_summary(&outcome, arguments.quiet, arguments.json)?;
+    } else if !arguments.quiet {
+        tell_warnings(&outcome, "");
     }
     // The results are on disk: what the site does changes nothing of them.
     if let Some(link) = link {
