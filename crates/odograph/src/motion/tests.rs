@@ -369,10 +369,12 @@ fn sloping_ground_does_not_pass_for_a_skew() {
     assert!((measured_m - elevation_m).abs() < 0.002, "{measured_m} {elevation_m} m");
 }
 
-/// Frames of a camera with this tilt that drives ahead, whose rig is said to be level.
-fn tilted_drive(tilt: [f64; 2], keyframes: u64) -> RigPriorEstimator {
+/// Frames of a camera with this tilt that drives ahead, whose rig is said to be level; after a pass
+/// that left this covariance of the tilt.
+fn tilted_drive(tilt: [f64; 2], keyframes: u64, earlier: Option<&Matrix2<f64>>) -> RigPriorEstimator {
     let level = GroundPose::level(1.0);
     let mut estimator = RigPriorEstimator::new(&level);
+    earlier.into_iter().for_each(|errors| estimator.set_earlier_mount_tilt_covariance(errors));
     let config = MotionConfig::default();
     for seed in 0..keyframes {
         // What a camera with a tilt sees of points that its keyframe, taken to be level, has
@@ -397,7 +399,7 @@ fn tilted_drive(tilt: [f64; 2], keyframes: u64) -> RigPriorEstimator {
 fn the_tilt_of_the_mount_is_as_uncertain_as_frames_and_keyframes_leave_it() {
     // Of a tilt of a quarter of a degree five keyframes leave an error as large as stated.
     let tilt = [0.004, -0.003];
-    let estimator = tilted_drive(tilt, 5);
+    let estimator = tilted_drive(tilt, 5, None);
     let [_, roll_rad, pitch_rad] = estimator.mount();
     let errors = estimator.mount_tilt_errors();
     let off = nalgebra::Vector2::new(roll_rad - tilt[0], pitch_rad - tilt[1]);
@@ -407,6 +409,18 @@ fn the_tilt_of_the_mount_is_as_uncertain_as_frames_and_keyframes_leave_it() {
     // Before its first keyframe ends nothing is known.
     let nothing = RigPriorEstimator::new(&GroundPose::level(1.0)).mount_tilt_errors();
     assert_eq!(nothing, RigPriorEstimator::unknown_mount_tilt());
+}
+
+#[test]
+fn frames_that_an_earlier_pass_saw_do_not_count_twice() {
+    let tilt = [0.001, -0.001];
+    let first = tilted_drive(tilt, 5, None).mount_tilt_errors();
+    let trace = |errors: Matrix2<f64>| errors.trace();
+    let again = |keyframes| trace(tilted_drive(tilt, keyframes, Some(&first)).mount_tilt_errors());
+    // What the first pass left is known from the start, and by as many keyframes no better.
+    assert!((again(0) / trace(first) - 1.0).abs() < 1e-9, "{} {first}", again(0));
+    assert!(again(5) > 0.9 * trace(first), "{} {first}", again(5));
+    assert!(again(40) < 0.5 * trace(first), "{} {first}", again(40));
 }
 
 #[test]

@@ -71,3 +71,22 @@ fn copies_are_recognised_after_a_return_to_an_older_keyframe() {
     }
     assert!(copies > 40 && odometry.keyframes() < 8, "{copies} copies, {} keyframes", odometry.keyframes());
 }
+
+#[test]
+fn a_cart_that_crosses_most_of_the_view_is_not_followed() {
+    let world = World::new("concrete");
+    let mut odometry = world.odometry();
+    let mut random = Random::new(5);
+    let cart: Vec<u8> = (0..640 * 480).map(|_| 60 + random.below(100) as u8).collect();
+    for frame in 0..90 {
+        // The ground goes by at 13 pixels a frame, the cart comes in from the side.
+        let truth = at(0.02 * frame as f64, 0.0, 0.0);
+        let mut shown = world.image(truth, frame);
+        let covered = 5 * frame as usize;
+        for (row, cart) in shown.samples_mut().chunks_mut(640).zip(cart.chunks(640)) {
+            row[..covered].copy_from_slice(&cart[640 - covered..]);
+        }
+        let found = odometry.process(shown, frame as f64 * FRAME_S).unwrap();
+        assert_right(&found, &truth, 1.0);
+    }
+}
