@@ -156,10 +156,11 @@ def local(places, headings, start, end):
     return np.array([[c, s], [-s, c]]) @ (places[end] - places[start])
 
 
-def ours(program, video, clip, times):
+def ours(program, video, times, more=()):
     """Our path, its variances, and the exit code."""
-    out = clip.folder / "out"
-    given = ["--camera", clip.folder / "camera.yaml", "--rig", clip.folder / "rig.toml"]
+    folder = video.parent
+    out = folder / "out"
+    given = ["--camera", folder / "camera.yaml", "--rig", folder / "rig.toml", *more]
     run = subprocess.run([program, "run", video, *given, "-o", out], capture_output=True)
     estimate, variance = np.full((len(times), 3), np.nan), np.full(len(times), np.nan)
     if (out / "trajectory.tum").exists():
@@ -171,6 +172,30 @@ def ours(program, video, clip, times):
                     at = np.argmin(abs(times - float(row["time_s"])))
                     variance[at] = 0.5 * (float(row["sigma_x_m"]) ** 2 + float(row["sigma_y_m"]) ** 2)
     return estimate, variance, run.returncode
+
+
+def plain(reference, images):
+    """The path of the OpenCV odometry."""
+    poses = []
+    for image in images:
+        reference.process(image)
+        pose = reference.world_from_camera()
+        poses.append([pose[0, 3], pose[1, 3], heading(pose[:3, :3])])
+    return np.array(poses)
+
+
+def judged(truth, estimate, variance, of_opencv):
+    """The figures of a drive, and its marks."""
+    share, errors, posed = against(truth, estimate)
+    share_of_opencv, _, _ = against(truth, of_opencv)
+    stated = posed & (variance > 0)  # the first pose is exact
+    squares = (errors[stated] ** 2).sum(axis=1) / 2 / variance[stated]
+    nees = squares.mean() if stated.any() else math.nan
+    marks = [("LOST", posed.mean() < 0.995), ("WORSE", not share <= share_of_opencv), ("NEES", nees > 8)]
+    marks = " ".join(mark for mark, applies in marks if applies)
+    rmse_mm = 1e3 * math.sqrt(np.mean((errors[posed] ** 2).sum(axis=1))) if posed.any() else math.nan
+    figures = f"{share:.4f} % (OpenCV {share_of_opencv:.4f}), RMSE {rmse_mm:.2f} mm, NEES {nees:.1f}"
+    return f"{figures}, posed {100 * posed.mean():.0f} %", marks
 
 
 def row(program, seed, photos):
@@ -186,23 +211,9 @@ def row(program, seed, photos):
         video = process(clip, processing)
         times = np.loadtxt(folder / "truth.tum")[:, 0]
         truth = np.column_stack([clip.positions[:, :2], [heading(turned) for turned in clip.rotations]])
-        estimate, variance, code = ours(program, video, clip, times)
-        reference = Reference(clip)
-        plain = []
-        for image in clip.frames:
-            reference.process(image)
-            pose = reference.world_from_camera()
-            plain.append([pose[0, 3], pose[1, 3], heading(pose[:3, :3])])
-    share, errors, posed = against(truth, estimate)
-    of_opencv, _, _ = against(truth, np.array(plain))
-    stated = posed & (variance > 0)  # the first pose is exact
-    squares = (errors[stated] ** 2).sum(axis=1) / 2 / variance[stated]
-    nees = squares.mean() if stated.any() else math.nan
-    marks = [("LOST", posed.mean() < 0.995), ("WORSE", not share <= of_opencv), ("NEES", nees > 8)]
-    marks = " ".join(mark for mark, applies in marks if applies)
-    rmse_mm = 1e3 * math.sqrt(np.mean((errors[posed] ** 2).sum(axis=1))) if posed.any() else math.nan
-    figures = f"{share:.4f} % (OpenCV {of_opencv:.4f}), RMSE {rmse_mm:.2f} mm, NEES {nees:.1f}"
-    return f"{seed}: {figures}, posed {100 * posed.mean():.0f} %, code {code} {marks} | {label}"
+        estimate, variance, code = ours(program, video, times)
+        figures, marks = judged(truth, estimate, variance, plain(Reference(clip), clip.frames))
+    return f"{seed}: {figures}, code {code} {marks} | {label}"
 
 
 def main():

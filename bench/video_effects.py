@@ -10,7 +10,6 @@ frames, with a larger error over each metre than OpenCV's, and with a NEES above
 """
 
 import argparse
-import csv
 import math
 import subprocess
 import tempfile
@@ -21,7 +20,7 @@ import numpy as np
 
 from opencv import Clip, rotation
 from opencv_reference import Reference
-from random_drives import against, heading
+from random_drives import heading, judged, ours, plain
 
 DRIVE = "--path eight --length 2m --speed 0.6 --duration 7 --fps 30 --size 640x480 --height 0.75 --noise 2"
 
@@ -196,41 +195,15 @@ def written(folder, drive, images, times):
     (folder / "times.txt").write_text("".join(f"{time:.9f}\n" for time in times))
 
 
-def ours(program, folder, times):
-    """Our path, and its variances."""
-    out = folder / "out"
-    given = ["--timestamps", folder / "times.txt", "--camera", folder / "camera.yaml", "--rig", folder / "rig.toml"]
-    subprocess.run([program, "run", folder / "clip.y4m", *given, "-o", out], capture_output=True)
-    estimate, variance = np.full((len(times), 3), np.nan), np.full(len(times), np.nan)
-    with open(out / "trajectory.csv") as file:
-        for row in csv.DictReader(file):
-            if row["sigma_x_m"]:
-                at = np.argmin(abs(times - float(row["time_s"])))
-                variance[at] = 0.5 * (float(row["sigma_x_m"]) ** 2 + float(row["sigma_y_m"]) ** 2)
-    for row in np.loadtxt(out / "trajectory.tum", ndmin=2):
-        estimate[np.argmin(abs(times - row[0]))] = [row[1], row[2], heading(rotation(row[4:8]))]
-    return estimate, variance
-
-
 def figures(program, effect, clip, drive, folder):
     changed = effect(clip.frames, np.random.default_rng(7))
     images, numbers = changed if isinstance(changed, tuple) else (changed, range(len(changed)))
     truth = np.loadtxt(drive / "truth.tum")[list(numbers)]
     written(folder, drive, images, truth[:, 0])
-    estimate, variance = ours(program, folder, truth[:, 0])
-    reference, plain = Reference(clip), []
-    for image in images:
-        reference.process(image)
-        pose = reference.world_from_camera()
-        plain.append([pose[0, 3], pose[1, 3], heading(pose[:3, :3])])
+    video, times = folder / "clip.y4m", truth[:, 0]
+    estimate, variance, _ = ours(program, video, times, ["--timestamps", folder / "times.txt"])
     true = np.column_stack([truth[:, 1:3], [heading(rotation(row[4:8])) for row in truth]])
-    share, errors, posed = against(true, estimate)
-    of_opencv, _, _ = against(true, np.array(plain))
-    stated = posed & (variance > 0)  # the first pose is exact
-    nees = ((errors[stated] ** 2).sum(axis=1) / 2 / variance[stated]).mean() if stated.any() else math.nan
-    marks = [("LOST", posed.mean() < 0.995), ("WORSE", not share <= of_opencv), ("NEES", nees > 8)]
-    marks = " ".join(mark for mark, applies in marks if applies)
-    return f"{share:.4f} % (OpenCV {of_opencv:.4f}), NEES {nees:.1f}, posed {100 * posed.mean():.0f} % {marks}"
+    return " ".join(judged(true, estimate, variance, plain(Reference(clip), images)))
 
 
 def main():

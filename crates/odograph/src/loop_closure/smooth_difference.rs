@@ -8,8 +8,8 @@
 //! equations are added.
 //!
 //! Neither images of one place nor copies differ by white noise: lossy video and uneven light leave
-//! amplitudes that fall in proportion to the order, as those of copies do. The two are told apart
-//! by their size.
+//! amplitudes that fall in proportion to the order, as those of copies do. The two differ in
+//! size.
 
 use super::overlap::{OverlapCell, OverlapGrid};
 use nalgebra::{DMatrix, DVector};

@@ -23,12 +23,12 @@ const FULL_SEARCH_PX: f64 = 4.0;
 /// flight over a checkerboard whose period is 30 pixels or more.
 const NEAR_PX: f64 = 6.0;
 
-/// Ground that moves as predicted is preferred to what moves otherwise, or stands still in the
-/// image, where it has at least this part of its corners. Not derived; chosen.
+/// Ground that moves as predicted is preferred to something that moves otherwise, or stands still
+/// in the image, if it has at least this fraction of the other's inliers. Not derived; chosen.
 const LEAST_GROUND: f64 = 0.2;
 
-/// Distance from where a prediction may be off, pixels, at which a pose is that of another motion:
-/// inliers of one motion are not those of the other. Not derived; chosen.
+/// A pose that is farther from the prediction than its usual error, by more than this, is another
+/// motion, pixels: as far as inliers are from a pose. Not derived; chosen.
 const MATCH_PX: f64 = 2.0;
 
 type Measured = Result<Measurement, LossReason>;
@@ -77,10 +77,11 @@ impl Odometry {
         self.or_predicted(measured, &tracker, last, &extrapolated, time_s)
     }
 
-    /// The measured pose or, if the camera should have moved otherwise, the predicted one if enough
-    /// corners agree with that, too. Drops on the lens, rows of the image before, or something that
-    /// crosses the view may outnumber the corners of the ground, but only the ground goes on as
-    /// predicted, unless that is to stand still.
+    /// The measured pose or, where that is not the predicted motion, the one near the prediction if
+    /// enough corners agree with it. Drops on the lens, rows of the image before, or something that
+    /// crosses the view may outnumber the corners of the ground, but only the ground moves as
+    /// predicted. A prediction that the image stands still tells nothing: what is fixed to the
+    /// camera does so, too.
     fn or_predicted(
         &self,
         measured: Measured,

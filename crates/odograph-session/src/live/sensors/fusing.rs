@@ -10,6 +10,7 @@ use odograph::keyframe::relative_pose::{compose, inverse, motion_covariance, rel
 use odograph::keyframe::{EdgeKind, MapEdge};
 use odograph::odometry::{FrameReference, KeyframeEvent, NewKeyframe};
 use odograph::trajectory::FrameEstimate;
+use std::borrow::Cow;
 use std::collections::VecDeque;
 use std::sync::mpsc::{Receiver, TryRecvError, channel};
 use std::thread;
@@ -82,7 +83,7 @@ impl LiveFusion {
             || self.recent.back().is_some_and(|one| one.segment != estimate.segment);
         let sensors = match is_needed {
             true => self.sensors.since(self.tracked_s - BEFORE_GAP_S),
-            false => Sensors::default(),
+            false => Cow::Owned(Sensors::default()),
         };
         if estimate.estimate.is_some() {
             self.tracked_s = estimate.time_s;
@@ -93,6 +94,10 @@ impl LiveFusion {
                 "the sensors contradict the camera just before it was lost at {:.1} s: they are not used until it sees the ground again",
                 estimate.time_s
             ));
+        }
+        // Also while the camera sees nothing, however long.
+        while self.recent.front().is_some_and(|first| first.time_s < estimate.time_s - WINDOW_S) {
+            self.recent.pop_front();
         }
         self.recent.push_back(estimate);
         let world = Sim2::rigid(&fused.fused_from_odometry);
@@ -126,16 +131,15 @@ impl LiveFusion {
         if frame.time_s < self.next_s || frame.estimate.is_none() {
             return;
         }
-        while self.recent.front().is_some_and(|first| first.time_s < frame.time_s - WINDOW_S) {
-            self.recent.pop_front();
-        }
         self.next_s = (begun_s + LATER * (frame.time_s - begun_s)).min(frame.time_s + EVERY_S);
         let frames: Vec<FrameEstimate> = self.recent.iter().cloned().collect();
         let sensors = self.sensors.since(frame.time_s - WINDOW_S - BEFORE_GAP_S);
         if self.sensors.is_recorded() {
-            self.use_calibration(SensorCalibration::of(&frames, &sensors));
+            let calibration = SensorCalibration::of(&frames, &sensors);
+            self.use_calibration(calibration);
             return;
         }
+        let sensors = sensors.into_owned();
         let (sender, receiver) = channel();
         self.calibrating = Some(receiver);
         thread::spawn(move || drop(sender.send(SensorCalibration::of(&frames, &sensors))));
@@ -210,4 +214,35 @@ fn rotate(covariance: &mut Matrix6<f64>, turned: &Matrix3<f64>) {
     let mut whole = Matrix6::identity();
     whole.fixed_view_mut::<3, 3>(0, 0).copy_from(turned);
     *covariance = propagated(&whole, covariance);
+}
+
+#[cfg(test)]
+mod tests {
+    #![allow(clippy::unwrap_used)] // a test fails by panicking
+
+    use super::*;
+    use odograph::filter::fusion::{Quantity, SensorRecord};
+    use odograph::trajectory::{LossReason, TrackStatus};
+
+    #[test]
+    fn hours_without_ground_are_not_kept() {
+        let record = SensorRecord::new(Quantity::TurnRate, vec![0.0, 1.0], vec![vec![0.0; 2]]).unwrap();
+        let recorded = Sensors { gyro: Some(record), ..Sensors::default() };
+        let mut fusion = LiveFusion::new(LiveSensors { recorded, heard: Vec::new() });
+        for number in 0..20_000 {
+            let frame = FrameEstimate {
+                frame: number,
+                time_s: 0.1 * number as f64,
+                status: TrackStatus::Lost { reason: LossReason::Dark },
+                estimate: None,
+                tracks: 0,
+                inliers: 0,
+                residual_px: 0.0,
+                keyframe: false,
+                segment: 0,
+            };
+            assert!(fusion.fuse(frame, &mut [], &mut None).estimate.is_none());
+        }
+        assert!(fusion.recent.len() as f64 <= 10.0 * WINDOW_S + 2.0, "{} frames", fusion.recent.len());
+    }
 }

@@ -12,6 +12,7 @@ use odograph::error::{Error, Result};
 use odograph::filter::fusion::{SensorKind, SensorRecord, Sensors};
 use odograph_live::capture::Policy;
 use readings::Readings;
+use std::borrow::Cow;
 use std::net::SocketAddr;
 use std::path::PathBuf;
 use std::sync::atomic::{AtomicBool, Ordering};
@@ -136,9 +137,12 @@ impl LiveSensors {
         sensors
     }
 
-    /// The readings from a time on.
-    fn since(&self, from_s: f64) -> Sensors {
-        self.each(|readings| readings.since(from_s))
+    /// The readings from a time on; recorded ones are all there from the beginning.
+    fn since(&self, from_s: f64) -> Cow<'_, Sensors> {
+        match self.is_recorded() {
+            true => Cow::Borrowed(&self.recorded),
+            false => Cow::Owned(self.each(|readings| readings.since(from_s))),
+        }
     }
 
     /// All readings, and sentences about what was left out.
