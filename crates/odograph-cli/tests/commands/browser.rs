@@ -4,6 +4,8 @@ use super::program::{done_once, odograph};
 use std::fs;
 use std::os::unix::fs::PermissionsExt;
 use std::process::Command;
+use std::thread;
+use std::time::{Duration, Instant};
 
 #[test]
 fn open_shows_the_report_and_says_where_there_is_no_browser() {
@@ -22,7 +24,13 @@ fn open_shows_the_report_and_says_where_there_is_no_browser() {
         String::from_utf8(output.stderr).unwrap()
     };
     assert_eq!(run(&browser, "seen"), "");
-    assert_eq!(fs::read_to_string(here.join("opened")).unwrap(), "seen/report.html\n");
+    // The browser is not waited for by the program: it may write after the program has ended.
+    let opened = here.join("opened");
+    let deadline = Instant::now() + Duration::from_secs(60);
+    while fs::read_to_string(&opened).unwrap_or_default().is_empty() && Instant::now() < deadline {
+        thread::sleep(Duration::from_millis(20));
+    }
+    assert_eq!(fs::read_to_string(&opened).unwrap(), "seen/report.html\n");
     let told = run(&here.join("none"), "unseen");
     assert!(told.contains("no browser could be opened"), "{told}");
     assert!(told.contains("open unseen/report.html yourself"), "{told}");
