@@ -7,7 +7,8 @@ use nalgebra::Matrix2;
 /// Subpixel phase of the samples of a patch with this centre, 0 to 1. A patch has an even side: its
 /// samples lie on pixels when its centre lies between them.
 pub(super) fn fraction(centre: f64) -> f64 {
-    (centre - 0.5).rem_euclid(1.0)
+    let from_edge = centre - 0.5;
+    from_edge - from_edge.floor()
 }
 
 /// Phase coherence of the samples of a patch along x and y of the image: 1 where all have the same

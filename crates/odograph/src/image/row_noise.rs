@@ -32,9 +32,8 @@ pub const COLUMNS_REACH: usize = 32;
 /// Looks for row noise.
 #[derive(Debug, Clone, Default)]
 pub struct RowNoise {
-    /// Reusable memory: differences of two rows; their medians for all pairs of rows, as they come
-    /// and to be sorted; and their spreads.
-    between: Vec<f64>,
+    /// Reusable memory: the medians of the differences for all pairs of rows, as they come and to
+    /// be sorted, and their spreads.
     medians: Vec<f64>,
     sorted: Vec<f64>,
     spreads: Vec<f64>,
@@ -66,14 +65,62 @@ impl RowNoise {
         for y in (0..image.height().saturating_sub(2)).step_by(EVERY_ROW) {
             for y in [y, y + 1] {
                 let rows = image.row(y).iter().zip(image.row(y + 1)).step_by(EVERY_COLUMN);
-                self.between.clear();
-                self.between.extend(rows.map(|(&a, &b)| f64::from(b) - f64::from(a)));
-                let middle = median(&mut self.between).unwrap_or(0.0);
-                self.between.iter_mut().for_each(|value| *value = (*value - middle).abs());
-                self.medians.push(middle);
-                self.spreads.push(median(&mut self.between).unwrap_or(0.0) / NORMAL_MEDIAN);
+                let mut differences = Histogram::default();
+                rows.for_each(|(&a, &b)| differences.add(i32::from(b) - i32::from(a)));
+                let middle = differences.median();
+                self.medians.push(f64::from(middle));
+                self.spreads.push(f64::from(differences.median_distance(middle)) / NORMAL_MEDIAN);
             }
         }
+    }
+}
+
+/// Differences of gray levels, by number.
+struct Histogram {
+    counts: [u32; 511],
+    total: u32,
+}
+
+impl Default for Histogram {
+    fn default() -> Self {
+        Self { counts: [0; 511], total: 0 }
+    }
+}
+
+impl Histogram {
+    fn add(&mut self, difference: i32) {
+        self.counts[(255 + difference) as usize] += 1;
+        self.total += 1;
+    }
+
+    /// How many differences have this value.
+    fn count(&self, difference: i32) -> u32 {
+        self.counts.get((255 + difference) as usize).copied().unwrap_or(0)
+    }
+
+    /// The median, the greater of the middle two; 0 of nothing.
+    fn median(&self) -> i32 {
+        self.middle((-255..=255).map(|value| (value, self.count(value))))
+    }
+
+    /// The median of the distances from a value.
+    fn median_distance(&self, from: i32) -> i32 {
+        self.middle((0..=510).map(|distance| {
+            let other = if distance == 0 { 0 } else { self.count(from - distance) };
+            (distance, self.count(from + distance) + other)
+        }))
+    }
+
+    /// The first value up to which more than half of the numbers lie.
+    fn middle(&self, counts: impl Iterator<Item = (i32, u32)>) -> i32 {
+        let mut below = 0;
+        for (value, count) in counts {
+            below += count;
+            if below > self.total / 2 {
+                return value;
+            }
+        }
+        0
     }
 }
 
@@ -114,18 +161,11 @@ pub fn remove_row_noise(image: &mut GrayImage, reach: usize) {
 
 /// The median of the differences between samples and the means of `count` samples, gray levels.
 fn median_difference(row: &[u8], sums: &[u32], count: i32) -> i32 {
-    let mut histogram = [0u32; 511];
+    let mut differences = Histogram::default();
     for (&sample, &sum) in row.iter().zip(sums) {
-        let mean = (sum as i32 + count / 2) / count;
-        histogram[(255 + i32::from(sample) - mean) as usize] += 1;
+        differences.add(i32::from(sample) - (sum as i32 + count / 2) / count);
     }
-    let mut left = row.len() as u32 / 2;
-    let middle = histogram.iter().position(|&number| {
-        let is_here = number > left;
-        left = left.saturating_sub(number);
-        is_here
-    });
-    middle.map_or(0, |at| at as i32 - 255)
+    differences.median()
 }
 
 #[cfg(test)]
