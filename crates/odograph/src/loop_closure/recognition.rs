@@ -35,10 +35,9 @@ impl Recognised {
     }
 
     /// Normalised innovation squared of a measured pose of the older keyframe. Zero without a
-    /// prediction, and across a gap: the camera may have been moved anywhere meanwhile.
+    /// prediction.
     pub fn innovation(&self, motion: &Vector4<f64>, covariance: &Matrix4<f64>) -> f64 {
-        let prior = self.prior.as_ref().filter(|prior| !prior.reached.across_gap);
-        prior.map_or(0.0, |prior| prior.innovation(motion, covariance))
+        self.prior.as_ref().map_or(0.0, |prior| prior.innovation(motion, covariance))
     }
 }
 

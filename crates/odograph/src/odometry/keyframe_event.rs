@@ -60,6 +60,7 @@ pub struct FrameReference {
 }
 
 /// How a keyframe is tied to the one before it.
+#[derive(Debug)]
 pub(super) struct Before {
     pub id: KeyframeId,
     pub pose: GroundPose,

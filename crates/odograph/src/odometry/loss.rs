@@ -110,6 +110,9 @@ impl Odometry {
         let candidate = self.candidate.as_ref()?;
         let tracker = self.tracker(&candidate.keyframe, pyramid);
         let found = candidate.measure(&tracker, time_s, &mut Random::new(self.frames))?;
+        if self.goes_along(&candidate.keyframe.pose, &found.estimate.pose) {
+            return None;
+        }
         self.candidate.as_mut()?.confirm(time_s, &found.estimate);
         Some(found)
     }

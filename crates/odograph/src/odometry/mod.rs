@@ -8,6 +8,7 @@
 mod candidate;
 mod config;
 mod ambiguity;
+mod cover;
 mod earlier_pass;
 mod exposure;
 mod found_corner;
@@ -353,6 +354,7 @@ impl Odometry {
     /// The pose of a frame against known ground: near the prediction, otherwise anywhere.
     fn measure(&mut self, pyramid: &Pyramid, time_s: f64) -> std::result::Result<Measurement, LossReason> {
         let near = self.measure_near(pyramid, time_s);
+        let near = self.on_trial(near, pyramid, time_s);
         let measured = match near {
             Ok(measurement) if !self.is_ambiguous(&measurement, time_s) => Ok(measurement),
             near => self.recover(pyramid, time_s, near),
@@ -397,15 +399,18 @@ impl Odometry {
         self.learn(&found, &estimate, &update, inlier_ratio);
         self.follow(time_s, &estimate, uncertainty.covariance);
         let improved = self.improve(time_s, &estimate);
+        let keyframe = support < self.enough_support() || self.leaves_the_keyframe(&found, time_s);
+        self.end_trial(&found, &estimate);
         let measured_against = self.keyframe.as_ref().and_then(|keyframe| keyframe.id);
         self.reference = measured_against.map(|keyframe| FrameReference { keyframe, next: None });
-        let keyframe = support < self.enough_support() || self.leaves_the_keyframe(&found, time_s);
         let is_mean = self.config.motion.model == MotionModel::Mean;
         if is_mean {
             self.keep_only(&found, uncertainty.covariance); // from here on what was found has other numbers
         }
         if keyframe {
-            self.spare = self.change_keyframe(pyramid, time_s, &estimate, &update, &uncertainty);
+            let may_be_covered = self.may_be_covered(inlier_ratio);
+            self.spare =
+                self.change_keyframe(pyramid, time_s, &estimate, &update, &uncertainty, may_be_covered);
         } else {
             self.spare = Some(pyramid);
             // The mean follows its corners from frame to frame, under numbers of their own.

@@ -123,8 +123,16 @@ impl Odometry {
         Ok(ground.beside(fixed, keyframe))
     }
 
+    /// Whether a pose is farther from the predicted one than predictions usually are; their error
+    /// grows with the square of the time. False where they are not reliable.
+    pub(super) fn contradicts_prediction(&self, pose: &GroundPose, time_s: f64) -> bool {
+        let (Some(last), Some(expected)) = (&self.last, self.expected(time_s)) else { return false };
+        let (steps, off_px) = (((time_s - last.time_s) / last.step_s).max(1.0), self.usual_off_px(last));
+        off_px < FULL_SEARCH_PX && self.seen_apart_px(pose, &expected) > off_px * steps * steps + MATCH_PX
+    }
+
     /// [`seen_apart`], pixels.
-    fn seen_apart_px(&self, a: &GroundPose, b: &GroundPose) -> f64 {
+    pub(super) fn seen_apart_px(&self, a: &GroundPose, b: &GroundPose) -> f64 {
         seen_apart(a, b) * self.camera.focal_px().0
     }
 
@@ -175,8 +183,13 @@ impl Odometry {
     /// search covers everything anyway.
     fn prediction_off_px(&self, last: &LastPose, time_s: f64) -> Option<f64> {
         let usual_step = time_s - last.time_s <= USUAL_STEP * last.step_s;
-        let off_px = 0.5 + 2.0 * last.off_by() * self.camera.focal_px().0;
+        let off_px = self.usual_off_px(last);
         (self.config.motion.model != MotionModel::Mean && usual_step && off_px < FULL_SEARCH_PX)
             .then_some(off_px)
+    }
+
+    /// Error of the prediction by one frame, as the last frames had it, pixels.
+    fn usual_off_px(&self, last: &LastPose) -> f64 {
+        0.5 + 2.0 * last.off_by() * self.camera.focal_px().0
     }
 }

@@ -2,6 +2,7 @@
 
 use super::Odometry;
 use super::ambiguity::CHANCE_INLIER_RATIO;
+use super::cover::Trial;
 use super::found_corner::FoundCorner;
 use super::frame_uncertainty::FrameUncertainty;
 use super::keyframe::{Keyframe, KeyframeUpdate};
@@ -59,7 +60,8 @@ impl Odometry {
     }
 
     /// Changes the keyframe: to an older one if the camera has returned to it, otherwise to this
-    /// frame. Returns the image if it is no part of a keyframe.
+    /// frame, on trial if something `may_be_covered` by something else. Returns the image if it is no
+    /// part of a keyframe.
     pub(super) fn change_keyframe(
         &mut self,
         pyramid: Pyramid,
@@ -67,6 +69,7 @@ impl Odometry {
         estimate: &MotionEstimate,
         update: &KeyframeUpdate,
         uncertainty: &FrameUncertainty,
+        may_be_covered: bool,
     ) -> Option<Pyramid> {
         self.learned.rig_prior.change_keyframe();
         let (pyramid, improved) = match self.revisit(pyramid, estimate, uncertainty) {
@@ -102,7 +105,12 @@ impl Odometry {
             next.set_seen_before(&before.pose);
         }
         self.expose(&mut next, estimate);
-        self.number(&mut next, (self.frames, time_s), before);
+        let made = (self.frames, time_s);
+        if may_be_covered {
+            next.try_out(Trial { made, before });
+        } else {
+            self.number(&mut next, made, before);
+        }
         self.set_reference(next.id, pose);
         self.replace_keyframe(next);
         None

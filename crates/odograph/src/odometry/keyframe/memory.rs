@@ -88,6 +88,12 @@ impl KeyframeMemory {
         self.mask = Some((mask.clone(), *detection));
     }
 
+    /// Takes out the newest keyframe that is connected with the present by measurement.
+    pub fn take_newest(&mut self, camera: &Camera) -> Option<Keyframe> {
+        let newest = *self.newest().first()?;
+        self.take(newest, camera)
+    }
+
     /// Takes out the keyframe with that index.
     pub fn take(&mut self, index: usize, camera: &Camera) -> Option<Keyframe> {
         let mut keyframe = self.records.remove(index)?.keyframe;
