@@ -88,6 +88,7 @@ mod statistics;
 mod folder;
 mod earth;
 mod found_rig;
+mod wheel_scale;
 mod outcome;
 mod growing_map_file;
 mod mapping;
