@@ -22,6 +22,7 @@ mod charts;
 pub mod evaluation_plot;
 mod figures;
 mod ground_view;
+mod other_sensors;
 mod overlay;
 mod page;
 mod parts;
