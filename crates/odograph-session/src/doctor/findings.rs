@@ -556,9 +556,22 @@ const LEAST_BLUR_PX: f64 = 3.0;
 /// How many frames are lost; `most` is the most frequent reason and how many frames have it.
 fn losses_text(lost: usize, frames: usize, most: (usize, Option<LossReason>)) -> String {
     let mostly = if most.0 < lost { "mostly " } else { "" };
-    let why = most.1.map_or_else(String::new, |reason| format!(", {mostly}lost:{reason}"));
+    let why = most.1.map_or_else(String::new, |reason| format!(", {mostly}because of {}", in_words(reason)));
     let have = if lost == 1 { "has" } else { "have" };
     format!("{lost} of {frames} frames {have} no pose{why}")
+}
+
+/// What causes a loss.
+fn in_words(reason: LossReason) -> &'static str {
+    match reason {
+        LossReason::Bare => "too little texture",
+        LossReason::Dark => "darkness",
+        LossReason::Jump => "jumps or cuts",
+        LossReason::Blur => "blur",
+        LossReason::Shadow => "corners that stand still in the image",
+        LossReason::NotPlanar => "corners that do not move as one plane",
+        _ => "an unknown reason",
+    }
 }
 
 #[cfg(test)]
@@ -578,8 +591,17 @@ mod tests {
     fn only_one_of_several_reasons_is_most_frequent() {
         let text = |lost, count, reason| losses_text(lost, 300, (count, reason));
         assert_eq!(text(0, 0, None), "0 of 300 frames have no pose");
-        assert_eq!(text(1, 1, Some(LossReason::Bare)), "1 of 300 frames has no pose, lost:bare");
-        assert_eq!(text(3, 3, Some(LossReason::Bare)), "3 of 300 frames have no pose, lost:bare");
-        assert_eq!(text(3, 2, Some(LossReason::Bare)), "3 of 300 frames have no pose, mostly lost:bare");
+        assert_eq!(
+            text(1, 1, Some(LossReason::Bare)),
+            "1 of 300 frames has no pose, because of too little texture"
+        );
+        assert_eq!(
+            text(3, 3, Some(LossReason::Bare)),
+            "3 of 300 frames have no pose, because of too little texture"
+        );
+        assert_eq!(
+            text(3, 2, Some(LossReason::Bare)),
+            "3 of 300 frames have no pose, mostly because of too little texture"
+        );
     }
 }
