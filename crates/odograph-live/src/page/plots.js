@@ -56,7 +56,7 @@ export class Plots {
     const first = t.at(from), last = t.at(to), stride = Math.max(1, Math.floor((last - first) / 20000));
     for (let k = first; k < last + 1 && k < t.count; k += stride) {
       const v = value(k), column = Math.floor((t.get(k, "t") - from) / (to - from) * (width - 1));
-      if (column >= 0 && t.get(k, "state") > 0) lost[column] = 1;
+      if (column >= 0 && !Number.isFinite(t.get(k, "x"))) lost[column] = 1;
       if (!Number.isFinite(v) || column < 0) continue;
       least[column] = Math.min(least[column], v); most[column] = Math.max(most[column], v);
       high = Math.max(high, v);

@@ -562,7 +562,7 @@ fn losses_text(lost: usize, frames: usize, most: (usize, Option<LossReason>)) ->
 }
 
 /// What causes a loss.
-fn in_words(reason: LossReason) -> &'static str {
+pub fn in_words(reason: LossReason) -> &'static str {
     match reason {
         LossReason::Bare => "too little texture",
         LossReason::Dark => "darkness",

@@ -127,18 +127,18 @@ fn records_of(
         values.iter_mut().zip(numbers).for_each(|(value, number)| *value = number as f32);
         TrackRecord { values }
     };
-    // The page draws no line to a record without a pose, as it draws none where the camera was lost.
-    let lost = |after: &PathFrame| {
+    // The page draws no line over a record without a pose.
+    let lost = |before: &PathFrame, after: &PathFrame| {
         let mut values = [f32::NAN; TrackRecord::LENGTH];
-        values[0] = (after.time_s + shift_s) as f32;
+        values[0] = (0.5 * (before.time_s + after.time_s) + shift_s) as f32;
         TrackRecord { values }
     };
     let mut records = Vec::new();
+    let mut before: Option<&PathFrame> = None;
     for stretch in stretches {
-        if !records.is_empty() {
-            records.push(lost(&stretch[0]));
-        }
+        records.extend(before.zip(stretch.first()).map(|(before, after)| lost(before, after)));
         records.extend(stretch.iter().enumerate().map(|(k, frame)| record(frame, speed(stretch, k))));
+        before = stretch.last();
     }
     records
 }
@@ -183,3 +183,29 @@ fn render(mut file: MapFile, tiles: &GrowingTiles, ended: &AtomicBool) -> Result
 
 /// Both kinds of mosaic have squares of one size.
 const _: () = assert!(odograph::mosaic::MOSAIC_TILE_PX == Mosaic::TILE_SIDE_PX);
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn between_two_stretches_there_is_no_pose() {
+        let frames: Vec<PathFrame> = (0..10)
+            .chain(40..50)
+            .map(|frame| PathFrame {
+                frame,
+                segment: 0,
+                time_s: 0.1 * frame as f64,
+                pose: GroundPose { x_m: 0.01 * frame as f64, ..GroundPose::level(1.0) },
+            })
+            .collect();
+        let stretches: Vec<&[PathFrame]> = connected_stretches(&frames).collect();
+        let records = records_of(&stretches, &[], 5.0, 0);
+        let [time_s, x_m, speed_m_s] = [0, 1, 8].map(|field| records.iter().map(move |r| r.values[field]));
+        assert_eq!(x_m.clone().map(f32::is_nan).collect::<Vec<_>>().iter().filter(|nan| **nan).count(), 1);
+        assert!(x_m.clone().nth(10).is_some_and(f32::is_nan));
+        assert!(time_s.clone().nth(10).is_some_and(|time_s| (time_s - 7.45).abs() < 1e-3));
+        // No speed over the gap.
+        assert!(speed_m_s.filter(|speed| !speed.is_nan()).all(|speed| (speed - 0.1).abs() < 1e-3));
+    }
+}
