@@ -51,7 +51,7 @@ pub fn doubtful_unit(height_m: f64) -> Option<(&'static str, &'static str)> {
     Some(if height_m >= MILLIMETRES_FROM { ("mm", "millimetres") } else { ("cm", "centimetres") })
 }
 
-/// A pinhole of a wider view than this, degrees, is no lens: lenses so wide are modelled as fisheyes.
+/// A pinhole of a wider view than this, degrees, is no lens: one so wide is modelled as a fisheye.
 const WIDEST_PINHOLE_DEG: f64 = 150.0;
 
 /// A warning about a camera without a fisheye's model whose focal length makes its view wider than

@@ -11,8 +11,9 @@ use std::path::{Path, PathBuf};
 
 /// Say what limits the accuracy of a recording, and what to change.
 ///
-/// Looks at some 300 frames, spread over the first 9000. One line for each thing that was examined: good, unknown (the recording does not show it), limits (less accurate
-/// than it could be) or spoils (wrong, or lost).
+/// Looks at some 300 frames, spread over the first 9000. One line for each thing that was
+/// examined: good, unknown (the recording does not show it), limits (less accurate than it could
+/// be) or spoils (wrong, or lost).
 #[derive(Debug, clap::Args)]
 #[command(after_help = EXAMPLES)]
 pub struct DoctorArguments {

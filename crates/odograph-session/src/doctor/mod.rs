@@ -2,8 +2,8 @@
 //!
 //! Some 300 frames are looked at, in stretches of consecutive ones spread over the recording: their
 //! images, and how the tracker follows them. Each [`Finding`] has a measure, its unit, a
-//! [`Judgement`], and what to do about it; an [`ExaminedFrame`] shows it. Thresholds are derived from measurements where their
-//! comment says so, and otherwise chosen.
+//! [`Judgement`], and what to do about it; an [`ExaminedFrame`] shows some of them. Thresholds are
+//! derived from measurements where their comment says so, and otherwise chosen.
 
 mod appearance;
 mod findings;

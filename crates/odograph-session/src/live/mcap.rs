@@ -53,8 +53,8 @@ impl McapLog {
         })
     }
 
-    /// Whether a file may be written there; checked before anything else. `results` is the folder of
-    /// the results.
+    /// Whether a file may be written there; checked before anything else. `results` is the folder
+    /// of the results.
     pub fn check(path: &Path, results: Option<&Path>, force: bool) -> Result<()> {
         files::check_output(path, results, force)
     }

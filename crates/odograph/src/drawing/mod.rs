@@ -1,9 +1,9 @@
 //! The movement map as a drawing: the path over the ground in metres, as SVG text.
 //!
 //! World x runs to the right and world y up, at the same scale, as any graph of the trajectory file
-//! shows them. Only the measured path is a solid line. Gaps are dashed: as other sensors have the path
-//! there, or thin straight lines. The drawing is made for a light background; every part also has a
-//! class, so that a page around it can recolour it.
+//! shows them. Only the measured path is a solid line. Gaps are dashed: as other sensors have the
+//! path there, or thin straight lines. The drawing is made for a light background; every part also
+//! has a class, so that a page around it can recolour it.
 
 pub mod canvas;
 mod markers;
@@ -276,7 +276,7 @@ fn gaps(
         if let (Some(before), Some(after)) = (pair[0].last(), pair[1].first()) {
             let ends = [at(before), at(after)];
             if let Some(stretch) = known(before, Some(after)) {
-                reckoned::draw(stretch, before, Some(after), window, body);
+                draw_reckoned(stretch, before, Some(after), window, body);
                 shown.reckoned = true;
             } else {
                 let _ = writeln!(
@@ -298,7 +298,7 @@ fn gaps(
     {
         match known(last, None) {
             Some(stretch) => {
-                reckoned::draw(stretch, last, None, window, body);
+                draw_reckoned(stretch, last, None, window, body);
                 shown.reckoned = true;
             }
             None => shown.gaps = true,
@@ -307,6 +307,20 @@ fn gaps(
     }
     breaks.dedup_by(|a, b| (a.0 - b.0).hypot(a.1 - b.1) < 1.0);
     breaks
+}
+
+/// Draws a stretch between the measured poses before and after it.
+fn draw_reckoned(
+    stretch: &ReckonedStretch,
+    before: &path::PathPoint<'_>,
+    after: Option<&path::PathPoint<'_>>,
+    window: &DrawingWindow,
+    body: &mut String,
+) {
+    let measured = |point: &path::PathPoint<'_>| window.page(point.at.x_m, point.at.y_m);
+    let reckoned = stretch.points.iter().map(|at| window.page(at.x_m, at.y_m));
+    let points = [measured(before)].into_iter().chain(reckoned).chain(after.map(measured));
+    polyline(&simplified(points, 0.25), &reckoned::style(), body);
 }
 
 fn polyline(points: &[(f64, f64)], style: &str, body: &mut String) {

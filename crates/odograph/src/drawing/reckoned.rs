@@ -1,10 +1,7 @@
 //! Stretches of the path that other sensors give where the camera was lost.
 
-use super::path::{PathPoint, simplified};
-use super::window::DrawingWindow;
-use super::{MUTED, polyline};
+use super::MUTED;
 use crate::geometry::GroundPoint;
-use std::fmt::Write;
 
 /// A stretch of consecutive frames without a measured pose, by dead reckoning with other sensors.
 #[derive(Debug, Clone, PartialEq)]
@@ -42,23 +39,7 @@ pub(super) fn style() -> String {
     )
 }
 
-/// Draws a stretch between the measured poses before and after it.
-pub(super) fn draw(
-    stretch: &ReckonedStretch,
-    before: &PathPoint<'_>,
-    after: Option<&PathPoint<'_>>,
-    window: &DrawingWindow,
-    body: &mut String,
-) {
-    let measured = |point: &PathPoint<'_>| window.page(point.at.x_m, point.at.y_m);
-    let reckoned = stretch.points.iter().map(|at| window.page(at.x_m, at.y_m));
-    let points = [measured(before)].into_iter().chain(reckoned).chain(after.map(measured));
-    polyline(&simplified(points, 0.25), &style(), body);
-}
-
 /// Its mark in the legend, 40 units long.
 pub(super) fn mark() -> String {
-    let mut mark = String::new();
-    let _ = write!(mark, "<path {} d=\"M0 0h38\"/>", style());
-    mark
+    format!("<path {} d=\"M0 0h38\"/>", style())
 }

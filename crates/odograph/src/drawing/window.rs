@@ -41,7 +41,8 @@ pub(super) struct DrawingWindow {
 }
 
 impl DrawingWindow {
-    /// The window that shows the whole path, what other sensors have of it, and all of the backdrop.
+    /// The window that shows the whole path, what other sensors have of it, and all of the
+    /// backdrop.
     pub fn around(
         path: &MeasuredPath<'_>,
         reckoned: &[ReckonedStretch],
