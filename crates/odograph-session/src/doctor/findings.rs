@@ -3,6 +3,7 @@
 use super::appearance::{Appearance, blur_px};
 use super::intervals::Intervals;
 use super::lens::{Codec, Coded, GivenLens};
+use super::pictures::in_words;
 use super::tracking::Tracking;
 use crate::pixel_shape;
 use crate::rig::advice_for_other_size;
@@ -559,19 +560,6 @@ fn losses_text(lost: usize, frames: usize, most: (usize, Option<LossReason>)) ->
     let why = most.1.map_or_else(String::new, |reason| format!(", {mostly}because of {}", in_words(reason)));
     let have = if lost == 1 { "has" } else { "have" };
     format!("{lost} of {frames} frames {have} no pose{why}")
-}
-
-/// What causes a loss.
-pub fn in_words(reason: LossReason) -> &'static str {
-    match reason {
-        LossReason::Bare => "too little texture",
-        LossReason::Dark => "darkness",
-        LossReason::Jump => "jumps or cuts",
-        LossReason::Blur => "blur",
-        LossReason::Shadow => "corners that stand still in the image",
-        LossReason::NotPlanar => "corners that do not move as one plane",
-        _ => "an unknown reason",
-    }
 }
 
 #[cfg(test)]

@@ -1,6 +1,5 @@
 //! The frames that show what was found, for a page.
 
-use super::findings::in_words;
 use odograph::geometry::Pixel;
 use odograph::image::GrayImage;
 use odograph::odometry::TrackView;
@@ -73,5 +72,18 @@ impl Pictures {
         let fastest = self.fastest.map(|(_, frame)| frame);
         let lost = self.lost.into_iter().map(|(_, frame)| frame);
         self.usual.into_iter().chain(fastest).chain(lost).collect()
+    }
+}
+
+/// What causes a loss.
+pub fn in_words(reason: LossReason) -> &'static str {
+    match reason {
+        LossReason::Bare => "too little texture",
+        LossReason::Dark => "darkness",
+        LossReason::Jump => "jumps or cuts",
+        LossReason::Blur => "blur",
+        LossReason::Shadow => "corners that stand still in the image",
+        LossReason::NotPlanar => "corners that do not move as one plane",
+        _ => "an unknown reason",
     }
 }
