@@ -42,7 +42,7 @@ pub use mosaic::MosaicLayer;
 pub use numbers::is_covariance;
 pub use origin::{SessionOrigin, check_name};
 pub use outbox::{Outbox, OutgoingRecord};
-pub use paths::{KeyframeMove, PathFrame, corrected_path};
+pub use paths::{KeyframeMove, PathFrame, connected_stretches, corrected_path};
 pub use repair::{Repair, repair};
 pub use thinning::Thinning;
 pub use unfinished::UnfinishedSession;

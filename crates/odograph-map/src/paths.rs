@@ -1,4 +1,5 @@
-//! Camera paths in the map file: every tracked frame, and a polyline for each segment.
+//! Camera paths in the map file: every tracked frame, and a polyline for each connected
+//! stretch.
 
 use crate::complaint::WithContext;
 use crate::file::MapFile;
@@ -50,6 +51,25 @@ impl MapFile {
         let rows = statement.query_map([session], in_order(frame_from)).while_reading(&self.complaint)?;
         rows.collect::<rusqlite::Result<_>>().while_reading(&self.complaint)
     }
+}
+
+/// Stretches of a path without a loss in between. A map has only tracked frames: where numbers are
+/// missing for longer than [`LONGEST_DROP_S`] the camera was lost, although the ground after it was
+/// recognised and the segment goes on.
+pub fn connected_stretches(path: &[PathFrame]) -> impl Iterator<Item = &[PathFrame]> {
+    let step = path.windows(2).map(|two| two[1].frame.saturating_sub(two[0].frame)).min().unwrap_or(1);
+    path.chunk_by(move |before, after| is_connected(before, after, step))
+}
+
+/// Frames that a live run has dropped are missing, too, but not for as long, seconds.
+const LONGEST_DROP_S: f64 = 0.25;
+
+/// Whether the path goes on from one frame to the next, of a run whose frames are numbered in steps
+/// of `step`.
+fn is_connected(before: &PathFrame, after: &PathFrame, step: u64) -> bool {
+    before.segment == after.segment
+        && (after.frame.saturating_sub(before.frame) <= step.max(1)
+            || after.time_s - before.time_s <= LONGEST_DROP_S)
 }
 
 /// Columns of a frame as [`frame_from`] takes them.
@@ -115,9 +135,12 @@ struct WrittenPath<'a> {
     insert: CachedStatement<'a>,
     session: u32,
     lines: Vec<SegmentLine>,
+    before: Option<PathFrame>,
+    /// Least difference of the numbers of two frames so far.
+    step: u64,
 }
 
-/// Polyline of one segment.
+/// Polyline of a connected stretch.
 struct SegmentLine {
     segment: usize,
     from_s: f64,
@@ -132,7 +155,7 @@ impl<'a> WrittenPath<'a> {
         connection.execute("DELETE FROM paths WHERE session = ?1", [session])?;
         let insert = connection
             .prepare_cached("INSERT INTO odograph_frame VALUES (?1, ?2, ?3, ?4, ?5, ?6, ?7, ?8, ?9, ?10)")?;
-        Ok(Self { connection, insert, session, lines: Vec::new() })
+        Ok(Self { connection, insert, session, lines: Vec::new(), before: None, step: u64::MAX })
     }
 
     fn put(&mut self, frame: &PathFrame) -> rusqlite::Result<()> {
@@ -150,7 +173,13 @@ impl<'a> WrittenPath<'a> {
             roll_rad,
             pitch_rad
         ])?;
-        if self.lines.last().is_none_or(|line| line.segment != segment) {
+        let here = PathFrame { frame, segment, time_s, pose };
+        let step = &mut self.step;
+        let is_connected = self.before.replace(here).is_some_and(|before| {
+            *step = (*step).min(frame.saturating_sub(before.frame));
+            is_connected(&before, &here, *step)
+        });
+        if !is_connected {
             self.lines.push(SegmentLine { segment, from_s: time_s, to_s: time_s, points: Vec::new() });
         }
         if let Some(line) = self.lines.last_mut() {
@@ -161,7 +190,7 @@ impl<'a> WrittenPath<'a> {
     }
 
     fn end(self) -> rusqlite::Result<()> {
-        // A polyline has at least two points; a segment of one frame is only in the table of
+        // A polyline has at least two points; a stretch of one frame is only in the table of
         // frames.
         for SegmentLine { segment, from_s, to_s, points } in
             self.lines.into_iter().filter(|l| l.points.len() > 1)

@@ -4,6 +4,7 @@
 use super::figures::sigmas;
 use super::plot::TimeAxis;
 use crate::photograph::photograph;
+use odograph::drawing::ReckonedStretch;
 use odograph::drawing::scale::length_text;
 use odograph::drawing::svg::{data_uri, escape};
 use odograph::geometry::{GroundPoint, Placement};
@@ -208,12 +209,7 @@ fn layers(placement: &Placement, input: &ReportInput<'_>) -> Vec<Layer> {
     let loops = drawn("line", lines(input.loops))
         + &drawn("dot", dots(&mut input.loops.iter().map(|[newer, _]| *newer)));
     vec![
-        Layer {
-            class: "losses",
-            name: "losses",
-            shown: true,
-            elements: drawn("line", lines(&losses(input.frames))),
-        },
+        Layer { class: "losses", name: "losses", shown: true, elements: losses(placement, input) },
         Layer { class: "way", name: "path", shown: true, elements: path(placement, input.frames) },
         Layer {
             class: "keyframes",
@@ -226,21 +222,46 @@ fn layers(placement: &Placement, input: &ReportInput<'_>) -> Vec<Layer> {
     ]
 }
 
-/// The two known positions on either side of each interval without a pose.
-fn losses(frames: &[FrameSummary]) -> Vec<[GroundPoint; 2]> {
-    let mut before = None;
+/// The path where the camera was lost: as other sensors have it, and straight lines between the two
+/// known positions where it is unknown.
+fn losses(placement: &Placement, input: &ReportInput<'_>) -> String {
+    let (mut unknown, mut reckoned) = (String::new(), String::new());
+    let mut add = |before: &FrameSummary, after: Option<&FrameSummary>| {
+        let stretch =
+            ReckonedStretch::between(input.reckoned, before.time_s, after.map(|after| after.time_s));
+        if after.is_none() && stretch.is_none() {
+            return;
+        }
+        let measured = |frame: &FrameSummary| frame.place.map(|at| GroundPoint::new(at.x_m, at.y_m));
+        let between = stretch.iter().flat_map(|stretch| stretch.points.iter().copied());
+        let points = measured(before).into_iter().chain(between).chain(after.and_then(measured));
+        let points: Vec<String> = points
+            .map(|point| placement.pixel_from_ground(point))
+            .map(|(x, y)| format!("{x:.1} {y:.1}"))
+            .collect();
+        let line = if stretch.is_some() { &mut reckoned } else { &mut unknown };
+        let _ = write!(line, "M{}", points.join("L"));
+    };
+    let mut before: Option<&FrameSummary> = None;
     let mut lost = false;
-    let mut losses = Vec::new();
-    for frame in frames {
-        let Some(place) = &frame.place else {
+    for frame in input.frames {
+        if frame.place.is_none() {
             lost = true;
             continue;
-        };
-        let here = GroundPoint::new(place.x_m, place.y_m);
-        losses.extend(before.filter(|_| lost).map(|before| [before, here]));
-        (before, lost) = (Some(here), false);
+        }
+        if let (true, Some(before)) = (lost, before) {
+            add(before, Some(frame));
+        }
+        (before, lost) = (Some(frame), false);
     }
-    losses
+    if let (true, Some(before)) = (lost, before) {
+        add(before, None);
+    }
+    let drawn = |class: &str, d: String| match d.as_str() {
+        "" => String::new(),
+        d => format!("<path class=\"{class}\" d=\"{d}\"/>"),
+    };
+    drawn("line", unknown) + &drawn("reckoned", reckoned)
 }
 
 /// A line for each stretch without a loss, without points that no pixel separates, and the ends of

@@ -20,8 +20,10 @@
 pub mod calibration;
 mod charts;
 pub mod evaluation_plot;
+mod examination;
 mod figures;
 mod ground_view;
+mod other_sensors;
 mod overlay;
 mod page;
 mod parts;
@@ -30,6 +32,7 @@ mod plot;
 mod raster;
 mod recordings;
 
+pub use examination::examination_html;
 pub use figures::{LostStretch, lost_stretches};
 pub use page::html;
 pub use raster::{MAP_WIDTH_PX, drawing_png, gray_picture};

@@ -4,12 +4,12 @@ use super::charts::over_time;
 use super::evaluation_plot;
 use super::figures::{RunFigures, sigmas, weakest};
 use super::ground_view::{path_over_ground, place_over_map, script};
-use super::parts::{card, head, lengths_text, number, warnings};
+use super::other_sensors::other_sensors;
+use super::parts::{card, distance_text, head, lengths_text, number, warnings};
 use odograph::camera::Distortion;
-use odograph::drawing::MapDrawing;
 use odograph::drawing::scale::{duration_text, length_text};
 use odograph::drawing::svg::escape;
-use odograph::filter::fusion::SensorReport;
+use odograph::drawing::{MapDrawing, ReckonedStretch};
 use odograph::trajectory::{FrameSummary, PlaceSummary};
 use odograph_session::{ComparedReference, ReportInput, ReportLocalization};
 use std::fmt::Write;
@@ -25,7 +25,7 @@ pub fn html(input: &ReportInput<'_>) -> String {
         format!("<b>The run was {interruption}</b>; nothing after that is known. ")
     });
     let is_whole = input.interruption.is_none();
-    let lead = input.localization.as_ref().map_or_else(|| lead(&figures, is_whole), found);
+    let lead = input.localization.as_ref().map_or_else(|| lead(&figures, input.reckoned, is_whole), found);
     let _ = writeln!(page, "<p class=\"lead\">{interrupted}{lead}</p>");
     warnings(input.warnings, &mut page);
     match &input.localization {
@@ -43,7 +43,7 @@ pub fn html(input: &ReportInput<'_>) -> String {
         beside(input.reference, &mut page);
         doubts(input.frames, &figures, &mut page);
     }
-    sensors(input.sensors, &mut page);
+    other_sensors(input.sensors, &mut page);
     parameters(input, &mut page);
     let _ = write!(
         page,
@@ -102,7 +102,7 @@ fn place_cards(localization: &ReportLocalization<'_>, page: &mut String) {
 }
 
 /// Summary of the run in one or two sentences; one that is not whole has frames up to some point.
-fn lead(figures: &RunFigures, is_whole: bool) -> String {
+fn lead(figures: &RunFigures, reckoned: &[ReckonedStretch], is_whole: bool) -> String {
     if figures.with_pose == 0 {
         return "No frame could be tracked. The reasons are listed below.".into();
     }
@@ -111,24 +111,23 @@ fn lead(figures: &RunFigures, is_whole: bool) -> String {
         distance_text(figures.distance_m),
         duration_text(figures.duration_s)
     );
+    let there = match reckoned.len() {
+        0 => "no path is drawn there",
+        n if n < figures.lost.len() => "a dashed path is that of the other sensors, where they have one",
+        _ => "the dashed path there is that of the other sensors",
+    };
     let kept = match figures.lost.len() {
         0 if is_whole => "Every frame was tracked.".into(),
         0 => "Every frame up to there was tracked.".into(),
-        1 => format!(
-            "Tracking was lost once, for {}; no path is drawn there.",
-            duration_text(figures.lost_s())
-        ),
-        n => format!(
-            "Tracking was lost {n} times, for {} altogether; no path is drawn there.",
-            duration_text(figures.lost_s())
-        ),
+        1 => format!("Tracking was lost once, for {}; {there}.", duration_text(figures.lost_s())),
+        n => {
+            format!(
+                "Tracking was lost {n} times, for {} altogether; {there}.",
+                duration_text(figures.lost_s())
+            )
+        }
     };
     format!("{measured} {kept}")
-}
-
-/// The length of the path, to the centimetre as the program prints it.
-fn distance_text(distance_m: f64) -> String {
-    if (1.0..10_000.0).contains(&distance_m) { format!("{distance_m:.2} m") } else { length_text(distance_m) }
 }
 
 fn cards(figures: &RunFigures, is_whole: bool, page: &mut String) {
@@ -230,7 +229,9 @@ fn position_text(x_m: f64, y_m: f64) -> String {
 /// The drawing of the path.
 fn drawing(input: &ReportInput<'_>, page: &mut String) {
     let (loops, landmarks) = (input.loops, input.landmarks);
-    let narrow = MapDrawing { width: 460.0, loops, landmarks, ..MapDrawing::default() }.svg(input.frames);
+    let reckoned = input.reckoned;
+    let narrow = MapDrawing { width: 460.0, loops, landmarks, reckoned, ..MapDrawing::default() };
+    let narrow = narrow.svg(input.frames);
     let _ = writeln!(
         page,
         "<h2>The map</h2>\n<figure><figcaption><span>The path seen from above, coloured from blue at the start to orange at \
@@ -245,9 +246,7 @@ fn beside(reference: Option<&ComparedReference>, page: &mut String) {
     let evaluation = &reference.evaluation;
     let errors = &evaluation.absolute.translation;
     let [rmse, median, max] = lengths_text([errors.rmse, errors.median, errors.max]);
-    let scale = evaluation.scale.map_or(String::new(), |scale| {
-        format!(" The scale of the alignment is {scale:.5}; 1 means equal lengths.")
-    });
+    let scale = evaluation.scale.map_or(String::new(), scale_sentence);
     let _ = writeln!(
         page,
         "<h2>Beside {}</h2>\n<figure><figcaption><span>{} frames have a time in it, over {} of its \
@@ -262,6 +261,25 @@ fn beside(reference: Option<&ComparedReference>, page: &mut String) {
         evaluation_plot::in_page(evaluation, &reference.reference)
     );
 }
+
+/// What the scale of an alignment means: the factor by which the path of a run was multiplied.
+fn scale_sentence(scale: f64) -> String {
+    let percent = 100.0 * (1.0 / scale - 1.0);
+    let sentence = format!(" The scale of the alignment is {scale:.5}");
+    if percent.abs() < EQUAL_PERCENT {
+        return sentence + ": both have the same length.";
+    }
+    let size = if percent < 0.0 { "short" } else { "long" };
+    let decimals = if percent.abs() < 1.0 { 3 } else { 1 };
+    format!(
+        "{sentence}: <b>by the reference, every length of the run is {:.decimals$} % too {size}</b>, as it is with a \
+         height or a focal length that is wrong.",
+        percent.abs()
+    )
+}
+
+/// Lengths that differ by less are the same, percent: a good calibration knows no more.
+const EQUAL_PERCENT: f64 = 0.01;
 
 /// Where it was lost, and the frames with few inliers; nothing if it was sure everywhere.
 fn doubts(frames: &[FrameSummary], figures: &RunFigures, page: &mut String) {
@@ -326,42 +344,6 @@ fn unsure(frames: &[FrameSummary]) -> Vec<&FrameSummary> {
     let mut weak = weakest(frames, 6);
     weak.retain(|frame| 4 * frame.inliers < usual);
     weak
-}
-
-/// Results of the other sensors; empty if there are none.
-fn sensors(sensors: &[SensorReport], page: &mut String) {
-    if sensors.is_empty() {
-        return;
-    }
-    page.push_str(
-        "<h2>Other sensors</h2>\n<div class=\"box scroll\"><table>\n<tr><th>Sensor</th><th>used</th><th>clock ahead by</th>\
-         <th>found</th></tr>\n",
-    );
-    for report in sensors {
-        let used = report.rejected.map_or("yes".into(), |reason| format!("no: {reason}"));
-        let clock = match report.offset {
-            Some(offset) if offset.sigma_s.is_finite() => {
-                format!("{} ± {} ms", number(1e3 * offset.offset_s, 1), number(2e3 * offset.sigma_s, 1))
-            }
-            Some(_) => "not determined by the motion".into(),
-            None => String::new(),
-        };
-        let found: Vec<String> = report
-            .parameters
-            .iter()
-            .map(|found| {
-                format!("{} {} ± {}", found.name, number(found.value, 4), number(2.0 * found.sigma, 4))
-            })
-            .collect();
-        let _ = writeln!(
-            page,
-            "<tr><td>{}</td><td>{}</td><td>{clock}</td><td>{}</td></tr>",
-            report.sensor,
-            escape(&used),
-            escape(&found.join(", "))
-        );
-    }
-    page.push_str("</table></div>\n");
 }
 
 fn parameters(input: &ReportInput<'_>, page: &mut String) {

@@ -1,6 +1,6 @@
 //! Elements common to all report pages.
 
-use odograph::drawing::scale::label;
+use odograph::drawing::scale::{label, length_text};
 use odograph::drawing::svg::escape;
 use std::fmt::Write;
 
@@ -51,4 +51,27 @@ pub fn lengths_text<const N: usize>(lengths_m: [f64; N]) -> [String; N] {
 /// Formats a number with `decimals` decimals; a value that rounds to zero has no sign.
 pub fn number(value: f64, decimals: usize) -> String {
     label(value, 10f64.powi(-(decimals as i32)))
+}
+
+/// The length of a path, to the centimetre as the program prints it. What is far below a wavelength
+/// of light is nothing.
+pub fn distance_text(distance_m: f64) -> String {
+    match distance_m {
+        d if d < 1e-7 => length_text(0.0),
+        d if (1.0..10_000.0).contains(&d) => format!("{d:.2} m"),
+        d => length_text(d),
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_camera_that_stands_has_travelled_nothing() {
+        assert_eq!(distance_text(6e-9), "0 m");
+        assert_eq!(distance_text(2.5e-6), "2.50 µm");
+        assert_eq!(distance_text(12.834), "12.83 m");
+        assert_eq!(distance_text(0.5), "50.0 cm");
+    }
 }

@@ -1,7 +1,7 @@
 //! The page over many recordings: what became of each.
 
-use super::parts::{card, head, warnings};
-use odograph::drawing::scale::{duration_text, length_text};
+use super::parts::{card, distance_text, head, warnings};
+use odograph::drawing::scale::duration_text;
 use odograph::drawing::svg::escape;
 use odograph_session::batch::{RecordingResult, RunStatus};
 use serde_json::Value;
@@ -77,7 +77,7 @@ impl Totals {
         page.push_str("<div class=\"cards\">\n");
         card("Done", &format!("{} of {of}", self.done), "Recordings that were run to their end.", page);
         card("Failed", &self.failed.to_string(), "Recordings that could not be run.", page);
-        card("Distance", &length_text(self.distance_m), "Length of all measured paths.", page);
+        card("Distance", &distance_text(self.distance_m), "Length of all measured paths.", page);
         card("Duration", &duration_text(self.duration_s), "Of all recordings that were run.", page);
         let share = 100.0 * self.with_pose / self.frames.max(1.0);
         card(
@@ -133,7 +133,7 @@ fn table(results: &[RecordingResult], page: &mut String) {
         let loops = result.statistics().and_then(|all| all.get("loops")?.get("closed")?.as_f64());
         let warned = result.statistics().and_then(|all| all.get("warnings")?.as_array());
         let cells = [
-            text(figure(result, "distance_m"), &length_text),
+            text(figure(result, "distance_m"), &distance_text),
             text(figure(result, "duration_s"), &duration_text),
             text(share, &|share| format!("{} %", tenths(share))),
             text(figure(result, "losses"), &|losses| losses.to_string()),

@@ -1,6 +1,6 @@
 use super::*;
 use odograph::camera::{Camera, Distortion, Rig};
-use odograph::drawing::{Backdrop, MapDrawing};
+use odograph::drawing::{Backdrop, MapDrawing, ReckonedStretch};
 use odograph::geometry::{GroundPoint, GroundPose, Pixel, Placement, Ray};
 use odograph::image::RgbImage;
 use odograph::mosaic::{Mosaic, MosaicOptions, MosaicPicture};
@@ -118,6 +118,7 @@ fn report_of(
         title,
         source: "drive.mp4, 320 × 240 pixels",
         frames,
+        reckoned: &[],
         camera: &camera(),
         rig: &Rig::level(0.5),
         map_svg: &map,
@@ -133,6 +134,55 @@ fn report_of(
         reference: None,
         localization,
     })
+}
+
+#[test]
+fn a_loss_is_drawn_as_other_sensors_have_the_path() {
+    let frames = figure_eight(900);
+    let picture = mosaic_of(&frames, &camera()).picture_within(400).unwrap();
+    let placement = picture.placement;
+    let mosaic = Some(ReportMosaic { picture: &picture, placement, file_name: "mosaic.png" });
+    // Frames 450 to 524 are lost.
+    let stretch = ReckonedStretch {
+        from_s: frames[450].time_s,
+        to_s: frames[524].time_s,
+        points: vec![GroundPoint::new(0.3, 0.4), GroundPoint::new(0.2, 0.5)],
+    };
+    let page = |reckoned: &[ReckonedStretch]| {
+        html(&ReportInput {
+            interruption: None,
+            title: "drive",
+            source: "drive.mp4",
+            frames: &frames,
+            reckoned,
+            camera: &camera(),
+            rig: &Rig::level(0.5),
+            map_svg: "",
+            keyframes: &[],
+            landmarks: &[],
+            loops: &[],
+            marks: &[],
+            mosaic,
+            run_toml: "",
+            files: &[],
+            warnings: &[],
+            sensors: &[],
+            reference: None,
+            localization: None,
+        })
+    };
+    let by_sensors = page(std::slice::from_ref(&stretch));
+    assert!(
+        by_sensors.contains("lost once, for 2.50 s; the dashed path there is that of the other sensors.")
+    );
+    let (x, y) = placement.pixel_from_ground(stretch.points[1]);
+    let losses = by_sensors.split("<g class=\"losses\">").nth(1).unwrap().split("</g>").next().unwrap();
+    assert!(losses.contains("class=\"reckoned\"") && !losses.contains("class=\"line\""), "{losses}");
+    assert!(losses.contains(&format!("L{x:.1} {y:.1}L")), "{losses}");
+    assert!(by_sensors.contains("lost: path by other sensors"), "the map, too");
+    let alone = page(&[]);
+    assert!(alone.contains("lost once, for 2.50 s; no path is drawn there."));
+    assert!(alone.contains("<g class=\"losses\"><path class=\"line\""));
 }
 
 #[test]
@@ -464,6 +514,7 @@ fn a_look() {
         title: "figure-eight.mp4",
         source: "A rendered floor of tiles, 320 × 240 pixels, 900 frames at 30 a second",
         frames: &frames,
+        reckoned: &[],
         camera: &camera,
         rig: &Rig::level(0.5),
         map_svg: &plain.svg(&frames),

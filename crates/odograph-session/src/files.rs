@@ -37,11 +37,12 @@ pub fn check_output_folder(path: &Path) -> Result<()> {
 }
 
 /// [`check_output_file`] for what is written after minutes of work: fails also if the folder is
-/// missing or cannot be written into.
-pub(crate) fn check_output(path: &Path, force: bool) -> Result<()> {
+/// missing or cannot be written into. `results` is the folder of the results, which is made.
+pub(crate) fn check_output(path: &Path, results: Option<&Path>, force: bool) -> Result<()> {
     check_output_file(path, force)?;
     let folder = path.parent().filter(|folder| !folder.as_os_str().is_empty());
     match folder.filter(|folder| !folder.is_dir()) {
+        Some(folder) if results == Some(folder) => Ok(()),
         Some(folder) => Err(Error::usage(format!(
             "{} cannot be written: there is no folder {}; make it, or choose another",
             path.display(),

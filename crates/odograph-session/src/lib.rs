@@ -88,6 +88,7 @@ mod statistics;
 mod folder;
 mod earth;
 mod found_rig;
+mod wheel_scale;
 mod outcome;
 mod growing_map_file;
 mod mapping;
@@ -105,7 +106,7 @@ pub mod live;
 
 pub use budget::Budget;
 pub use builder::RunBuilder;
-pub use doctor::{Diagnosis, Finding, Judgement};
+pub use doctor::{Diagnosis, ExaminedFrame, Finding, Judgement};
 pub use earth_statistics::{EarthStatistics, GnssOutlier, GnssStatistics};
 pub use folder::RUN_FILES;
 pub use found::{FixedInImage, FoundCoefficient, FoundLens, FoundMount, FoundReadout};

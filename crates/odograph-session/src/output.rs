@@ -118,7 +118,7 @@ impl RunOutput {
 
     /// Fails if the bag exists and may not be overwritten, or cannot be written there.
     pub fn check_bag(&self) -> Result<()> {
-        self.bag.as_ref().map_or(Ok(()), |bag| files::check_output(bag, self.force))
+        self.bag.as_ref().map_or(Ok(()), |bag| files::check_output(bag, self.folder.as_deref(), self.force))
     }
 
     /// The folder, with a guard that removes a temporary one.

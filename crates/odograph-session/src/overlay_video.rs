@@ -30,15 +30,15 @@ pub struct OverlayVideo {
 }
 
 impl OverlayVideo {
-    /// Checks the name of a video, before any work.
-    pub fn check(path: &Path, force: bool) -> Result<()> {
+    /// Checks the name of a video, before any work. `results` is the folder of the results.
+    pub fn check(path: &Path, results: Option<&Path>, force: bool) -> Result<()> {
         if !path.extension().is_some_and(|extension| extension.eq_ignore_ascii_case("avi")) {
             return Err(Error::usage(format!(
                 "{} cannot be the overlay video, which is Motion JPEG in AVI; give it a name that ends with .avi",
                 path.display()
             )));
         }
-        files::check_output(path, force)
+        files::check_output(path, results, force)
     }
 
     /// Begins the file.
@@ -146,7 +146,7 @@ mod tests {
 
     #[test]
     fn another_ending_is_refused() {
-        let refused = OverlayVideo::check(Path::new("drive.mp4"), false).unwrap_err().to_string();
+        let refused = OverlayVideo::check(Path::new("drive.mp4"), None, false).unwrap_err().to_string();
         assert!(refused.starts_with("drive.mp4 cannot be the overlay video"), "{refused}");
     }
 }

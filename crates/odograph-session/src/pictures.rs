@@ -7,7 +7,7 @@ use crate::observer::Observer;
 use crate::plan::RunPlan;
 use crate::reference::ComparedReference;
 use crate::report::{ReportInput, ReportLocalization, ReportMark, ReportMosaic, RunReporter};
-use odograph::drawing::{Backdrop, DrawnLandmark, MapDrawing};
+use odograph::drawing::{Backdrop, DrawnLandmark, MapDrawing, ReckonedStretch};
 use odograph::error::Result;
 use odograph::filter::fusion::SensorReport;
 use odograph::geometry::GroundPoint;
@@ -22,6 +22,8 @@ pub struct DrawingInputs<'a> {
     /// Description of the recording.
     pub description: &'a str,
     pub frames: &'a [FrameSummary],
+    /// The path by other sensors where the camera was lost.
+    pub reckoned: &'a [ReckonedStretch],
     /// Poses of the camera at recognised places, and the earlier poses.
     pub loops: &'a [[GroundPoint; 2]],
     /// Markers on the ground.
@@ -105,8 +107,8 @@ fn draw(
         placement: mosaic.placement,
         opacity: BACKDROP_OPACITY,
     });
-    let (loops, landmarks) = (shown.loops, shown.landmarks);
-    let drawing = MapDrawing { title: title(plan), loops, landmarks, ..Default::default() };
+    let (loops, landmarks, reckoned) = (shown.loops, shown.landmarks, shown.reckoned);
+    let drawing = MapDrawing { title: title(plan), loops, landmarks, reckoned, ..Default::default() };
     let svg = MapDrawing { backdrop, ..drawing }.svg(shown.frames);
     folder.write("map.svg", svg.as_bytes())?;
     match reporter {
@@ -140,6 +142,7 @@ pub fn write_page(
         title: title(plan),
         source: shown.description,
         frames: shown.frames,
+        reckoned: shown.reckoned,
         interruption: told.interruption,
         camera: &plan.camera,
         rig: &plan.rig,

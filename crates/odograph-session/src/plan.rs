@@ -173,6 +173,14 @@ pub fn open_recording(source: impl AsRef<Path>, options: &SourceOptions) -> Resu
 /// If the folder has the path of a run beside its parameters.
 pub fn check_recording(source: &Path) -> Result<()> {
     let parameters = source.join("run.toml");
+    // Of a killed run.
+    if files::beside(&parameters).is_file() {
+        return Err(Error::input(format!(
+            "{0} is the folder of a run that did not end, not of a recording; give its recording, run it to its end with \
+             odograph run --resume {0}, or look at it with odograph view {0}",
+            source.display()
+        )));
+    }
     if !(parameters.is_file() && source.join("trajectory.csv").is_file()) {
         return Ok(());
     }

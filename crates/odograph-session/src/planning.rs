@@ -4,7 +4,7 @@ use crate::builder::{CameraChoice, MountChoice, RunBuilder};
 use crate::markers::MarkerWatch;
 use crate::observer::Observer;
 use crate::plan::{FrameChoice, RunPlan, SourcePlan};
-use crate::rig::{other_size, parse_camera, read_rig, recorded_rig};
+use crate::rig::{doubtful_focal_length, other_size, parse_camera, read_rig, recorded_rig};
 use crate::{budget, files, pixel_shape};
 use odograph::camera::{CalibrationDeviations, Camera, CameraUncertainty, LeverArm, Rig, RigDeviations};
 use odograph::error::{Error, Result};
@@ -46,6 +46,9 @@ impl RunBuilder {
             None => camera,
         };
         self.check_size(&camera, size)?;
+        if !by_field && let Some(doubt) = doubtful_focal_length(&camera) {
+            observer.warn(&doubt);
+        }
         let mut odometry = OdometryConfig::default();
         odometry.motion.model = match self.motion {
             // A tape measure does not give the lens distortion, and unmodelled distortion looks

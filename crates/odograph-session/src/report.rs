@@ -4,7 +4,7 @@ use crate::place::PoseInMap;
 use crate::reference::ComparedReference;
 use crate::resemblance::AlikePlace;
 use odograph::camera::{Camera, Rig};
-use odograph::drawing::DrawnLandmark;
+use odograph::drawing::{DrawnLandmark, ReckonedStretch};
 use odograph::error::Result;
 use odograph::filter::fusion::SensorReport;
 use odograph::geometry::{GroundPoint, Placement};
@@ -66,6 +66,8 @@ pub struct ReportInput<'a> {
     pub source: &'a str,
     /// All frames of the run, in order of time.
     pub frames: &'a [FrameSummary],
+    /// The path by other sensors where the camera was lost.
+    pub reckoned: &'a [ReckonedStretch],
     /// How far an interrupted run got, or a live run that was stopped before its recording ended,
     /// e.g. "interrupted after 3 of 5 frames"; `None` if it is complete.
     pub interruption: Option<&'a str>,

@@ -3,7 +3,7 @@
 
 use crate::files;
 use crate::observer::Observer;
-use odograph::camera::{Camera, LeverArm, Rig};
+use odograph::camera::{Camera, Distortion, LeverArm, Rig};
 use odograph::error::{Error, Result};
 use odograph::formats::decimal::Rounded;
 use odograph::formats::{camera_file, rig_file};
@@ -49,6 +49,29 @@ pub fn doubtful_unit(height_m: f64) -> Option<(&'static str, &'static str)> {
         return None;
     }
     Some(if height_m >= MILLIMETRES_FROM { ("mm", "millimetres") } else { ("cm", "centimetres") })
+}
+
+/// A pinhole of a wider view than this, degrees, is no lens: one so wide is modelled as a fisheye.
+const WIDEST_PINHOLE_DEG: f64 = 150.0;
+
+/// A warning about a camera without a fisheye's model whose focal length makes its view wider than
+/// lenses of that kind are: it is probably not in pixels.
+pub(crate) fn doubtful_focal_length(camera: &Camera) -> Option<String> {
+    if matches!(camera.distortion(), Distortion::KannalaBrandt { .. } | Distortion::DoubleSphere { .. }) {
+        return None;
+    }
+    let ((fx, fy), (width, height)) = (camera.focal_px(), (camera.width() as f64, camera.height() as f64));
+    let (focal_px, side_px) = if width / fx > height / fy { (fx, width) } else { (fy, height) };
+    let view_deg = 2.0 * (0.5 * side_px / focal_px).atan().to_degrees();
+    (view_deg > WIDEST_PINHOLE_DEG).then(|| {
+        format!(
+            "a focal length of {:.1} px in images of {}x{} is a view of {view_deg:.0}°, in which distances are far too \
+             long; are millimetres meant? Camera files have pixels",
+            Rounded(focal_px),
+            camera.width(),
+            camera.height()
+        )
+    })
 }
 
 /// The rig in a file; the observer hears of a height that is probably in another unit.
@@ -170,4 +193,26 @@ pub fn rig_of_mount(
         Rounded(rig.yaw_rad.to_degrees()),
     ));
     Some(rig)
+}
+
+#[cfg(test)]
+mod tests {
+    #![allow(clippy::unwrap_used)] // a test fails by panicking
+
+    use super::*;
+
+    #[test]
+    fn a_focal_length_in_millimetres_is_doubted() {
+        let camera =
+            |focal: f64, distortion| Camera::new((640, 480), (focal, focal), (320.0, 240.0), distortion);
+        let said = |focal: f64, distortion| doubtful_focal_length(&camera(focal, distortion).unwrap());
+        let doubt = said(4.2, Distortion::None).unwrap();
+        assert!(
+            doubt.starts_with("a focal length of 4.2 px in images of 640x480 is a view of 178°"),
+            "{doubt}"
+        );
+        // The widest lenses of action cameras, and fisheyes.
+        assert_eq!(said(170.0, Distortion::from_opencv(&[-0.3, 0.1, 0.0, 0.0]).unwrap()), None);
+        assert_eq!(said(80.0, Distortion::KannalaBrandt { k1: 0.0, k2: 0.0, k3: 0.0, k4: 0.0 }), None);
+    }
 }

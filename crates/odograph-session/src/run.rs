@@ -34,7 +34,10 @@ impl RunBuilder {
     /// that may not be overwritten, or if another program writes there.
     pub fn open(&self, observer: &dyn Observer) -> Result<Run> {
         self.output.check_bag()?;
-        self.output.video.as_deref().map_or(Ok(()), |video| OverlayVideo::check(video, self.output.force))?;
+        let results = self.output.folder.as_deref();
+        if let Some(video) = &self.output.video {
+            OverlayVideo::check(video, results, self.output.force)?;
+        }
         self.check_separate(
             [&self.output.bag, &self.output.video].into_iter().flatten().map(PathBuf::as_path),
         )?;

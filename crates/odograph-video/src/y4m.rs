@@ -77,6 +77,12 @@ pub(crate) fn open<R: BufRead + Send + 'static>(
             "this is not a Y4M stream ({why}); give the name of the file, or a pipe from ffmpeg -i FILE -f yuv4mpegpipe -"
         ))
     };
+    // As a pipe is whose program did not start.
+    if reader.fill_buf().map_err(unreadable)?.is_empty() {
+        return Err(Error::input(
+            "there is nothing in it, not even the header of a Y4M stream; look at what the program that should write it says",
+        ));
+    }
     let header = line(&mut reader)?.ok_or_else(|| no_stream("its first line does not end"))?;
     let mut tags = header.split(' ');
     if tags.next() != Some("YUV4MPEG2") {

@@ -248,18 +248,17 @@ impl From<&PoseEstimate> for PlaceSummary {
     }
 }
 
-/// Path length over ground through all measured poses, metres; gaps between segments are not
-/// counted.
+/// Path length over ground through all measured poses, metres; lost stretches are not counted, even
+/// where the ground after them was recognised.
 pub fn distance_m(frames: &[FrameSummary]) -> f64 {
-    let mut before: Option<(u32, PlaceSummary)> = None;
-    let mut way_m = 0.0;
-    for (segment, place) in frames.iter().filter_map(|frame| Some((frame.segment, frame.place?))) {
-        if let Some((_, from)) = before.filter(|before| before.0 == segment) {
-            way_m += (place.x_m - from.x_m).hypot(place.y_m - from.y_m);
+    let step_m = |two: &[FrameSummary]| match (two[0].place, two[1].place) {
+        (Some(from), Some(to)) if two[0].segment == two[1].segment => {
+            Some((to.x_m - from.x_m).hypot(to.y_m - from.y_m))
         }
-        before = Some((segment, place));
-    }
-    way_m
+        _ => None,
+    };
+    // A fold: the sum of no numbers is −0.
+    frames.windows(2).filter_map(step_m).fold(0.0, |way_m, step_m| way_m + step_m)
 }
 
 /// Pose of a camera with its timestamp: an entry of a trajectory file.
@@ -300,5 +299,44 @@ impl Trajectory {
             (b - a).norm()
         };
         self.poses.windows(2).map(step).sum()
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn lost_stretches_have_no_length() {
+        let frame = |number: u64, x_m: Option<f64>, segment: u32| FrameSummary {
+            frame: number,
+            time_s: number as f64,
+            place: x_m.map(|x_m| PlaceSummary {
+                x_m,
+                y_m: 0.0,
+                heading_rad: 0.0,
+                height_m: 1.0,
+                speed_m_s: 0.0,
+                position_covariance: [0.0; 3],
+                heading_variance: 0.0,
+            }),
+            residual_px: 0.0,
+            tracks: 0,
+            inliers: 0,
+            segment,
+            status: TrackStatus::Tracked,
+        };
+        // A metre; a loss over ten metres, after which the ground was recognised; half a metre; a
+        // loss after which it was not.
+        let frames = [
+            frame(0, Some(0.0), 0),
+            frame(1, Some(1.0), 0),
+            frame(2, None, 0),
+            frame(3, Some(11.0), 0),
+            frame(4, Some(11.5), 0),
+            frame(5, Some(20.0), 1),
+        ];
+        assert_eq!(distance_m(&frames), 1.5);
+        assert_eq!(distance_m(&frames[..1]).to_string(), "0");
     }
 }

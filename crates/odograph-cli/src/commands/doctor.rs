@@ -2,15 +2,18 @@
 
 use super::frame_selection::FrameTimes;
 use super::run::{CameraSetup, ConsoleObserver, ProfileChoice};
+use crate::files::{self, MadeFolders};
 use crate::{Outcome, console};
 use odograph::error::{Error, Result};
+use odograph_report::examination_html;
 use odograph_session::{Diagnosis, Finding, Judgement, RunBuilder, SourcePlan};
+use std::path::{Path, PathBuf};
 
 /// Say what limits the accuracy of a recording, and what to change.
 ///
-/// Looks at some 300 frames, spread over the first 9000, and writes nothing. One line for each
-/// thing that was examined: good, unknown (the recording does not show it), limits (less accurate
-/// than it could be) or spoils (wrong, or lost).
+/// Looks at some 300 frames, spread over the first 9000. One line for each thing that was
+/// examined: good, unknown (the recording does not show it), limits (less accurate than it could
+/// be) or spoils (wrong, or lost).
 #[derive(Debug, clap::Args)]
 #[command(after_help = EXAMPLES)]
 pub struct DoctorArguments {
@@ -26,6 +29,12 @@ pub struct DoctorArguments {
     topic: Option<String>,
     #[command(flatten)]
     times: FrameTimes,
+    /// Write a page with the findings and the frames that show them (.html).
+    #[arg(short, long, value_name = "FILE")]
+    output: Option<PathBuf>,
+    /// Overwrite the page if it exists.
+    #[arg(long, requires = "output")]
+    force: bool,
     /// Print JSON to standard output.
     #[arg(long)]
     json: bool,
@@ -37,13 +46,15 @@ pub struct DoctorArguments {
 const EXAMPLES: &str = "\
 Examples:
   odograph doctor drive.mp4
-  odograph doctor drive.mp4 --camera camera.yaml --height 0.75
+  odograph doctor drive.mp4 --camera camera.yaml --height 0.75 -o doctor.html
   odograph doctor drive.mcap --profile cart --json
 
 Ends with 0 when nothing spoils the result, 2 on wrong usage, 3 on bad input, 4 when something does.";
 
 /// Runs the command.
 pub fn doctor(arguments: DoctorArguments) -> Result<Outcome> {
+    let page = arguments.output.as_deref();
+    let _made = page.map(|page| place_for(page, arguments.force)).transpose()?;
     let setup = arguments.setup.or_of_profile(arguments.chosen.profile.as_deref())?;
     setup.question(arguments.quiet);
     let source = SourcePlan {
@@ -53,12 +64,20 @@ pub fn doctor(arguments: DoctorArguments) -> Result<Outcome> {
         ..SourcePlan::new(&arguments.file)
     };
     let diagnosis = setup.of_run(RunBuilder::over(source)).examine(&ConsoleObserver::new(arguments.quiet))?;
+    if let Some(page) = page {
+        let name = arguments.file.trim_end_matches(['/', '\\']);
+        let name = name.rsplit(['/', '\\']).next().unwrap_or(name);
+        files::write(page, examination_html(name, &diagnosis).as_bytes())?;
+    }
     if arguments.json {
         let text = serde_json::to_string_pretty(&diagnosis)
             .map_err(|error| Error::output(format!("the findings cannot be written as JSON: {error}")))?;
         console::print(&(text + "\n"))?;
     } else {
         console::print(&text(&arguments.file, &diagnosis, arguments.quiet))?;
+    }
+    if let Some(page) = page.filter(|_| !arguments.quiet) {
+        console::note(&format!("look at {}", page.display()));
     }
     if !arguments.quiet {
         diagnosis.warnings.iter().for_each(|warning| console::warn(warning));
@@ -67,6 +86,18 @@ pub fn doctor(arguments: DoctorArguments) -> Result<Outcome> {
         Judgement::Good | Judgement::Unknown | Judgement::Limits => Outcome::Done,
         Judgement::Spoils => Outcome::NotToBeTrusted,
     })
+}
+
+/// Makes the folder of the page. Fails before the work where the page cannot be written.
+fn place_for(page: &Path, force: bool) -> Result<MadeFolders> {
+    if !page.extension().is_some_and(|extension| extension.eq_ignore_ascii_case("html")) {
+        return Err(Error::usage(format!(
+            "{} cannot be the page, which is HTML; give it a name that ends with .html",
+            page.display()
+        )));
+    }
+    files::check_output_file(page, force)?;
+    MadeFolders::of_result(page)
 }
 
 /// The findings, one on a line.

@@ -118,6 +118,35 @@ fn a_clean_recording_has_no_findings() {
 }
 
 #[test]
+fn a_page_shows_the_findings_and_the_frames_of_them() {
+    let clip = Clip::new(&["--blackout", "1:1.5"]);
+    let (source, page) = (clip.source.display().to_string(), clip.path("pages/drive.html"));
+    let output = odograph(&["doctor", &source, "-o", &page]);
+    let message = String::from_utf8_lossy(&output.stderr).into_owned();
+    assert!(message.contains(&format!("look at {page}")), "{message}");
+    let html = fs::read_to_string(&page).unwrap();
+    assert!(
+        html.contains("agree on the motion of the ground.") && html.contains("Lost because of darkness.")
+    );
+    assert!(html.contains("The fastest frame: the ground has moved by"), "{html}");
+    assert!(html.matches("src=\"data:image/jpeg").count() >= 3 && html.matches("<circle").count() > 50);
+    // The same as on the terminal.
+    for line in String::from_utf8_lossy(&output.stdout).lines().skip(2) {
+        let measured = line.split(": ").nth(1).and_then(|rest| rest.split("; ").next()).unwrap();
+        assert!(html.contains(measured), "{measured}");
+    }
+    for (name, said) in
+        [(page.as_str(), "is already there"), ("page.pdf", "give it a name that ends with .html")]
+    {
+        let refused = odograph(&["doctor", &source, "-o", name]);
+        let message = String::from_utf8_lossy(&refused.stderr).into_owned();
+        assert!(refused.status.code() == Some(2) && message.contains(said), "{message}");
+        assert!(refused.stdout.is_empty(), "before the work");
+    }
+    assert!(odograph(&["doctor", &source, "-o", &page, "--force", "--quiet"]).stderr.is_empty());
+}
+
+#[test]
 fn a_camera_file_that_is_missing_or_of_another_size_is_a_finding() {
     let clip = Clip::new(&[]);
     clip.doctor_with(&[]).assert("camera file", "limits");

@@ -75,3 +75,23 @@ fn what_cannot_be_the_video_is_refused_before_any_work() {
     }
     assert_eq!(fs::read_to_string(place.join("there.avi")).unwrap(), "mine");
 }
+
+#[test]
+fn the_video_may_be_in_the_new_folder_of_the_results() {
+    let folder = tempfile::tempdir().unwrap();
+    let place = folder.path();
+    drive(place);
+    let run = |more: &str| odograph(place, &format!("{RUN} --video-out out/drive.avi {more}"));
+    // A run that is refused leaves no folder.
+    let refused = run("--reference none.tum -o out");
+    assert!(!refused.status.success() && !place.join("out").exists());
+    // Another folder is not made.
+    let refused = run("-o other");
+    assert_eq!(refused.status.code(), Some(2));
+    assert!(String::from_utf8_lossy(&refused.stderr).contains("there is no folder out"));
+    let done = run("--bag-out out/drive.mcap -o out/");
+    assert!(done.status.success(), "{}", String::from_utf8_lossy(&done.stderr));
+    assert!(place.join("out/drive.avi").is_file() && place.join("out/drive.mcap").is_file());
+    let named = odograph(place, &format!("{RUN} --video-out new/map.png -o new"));
+    assert!(named.status.code() == Some(2) && !place.join("new").exists());
+}

@@ -1,7 +1,7 @@
 //! Black-box tests of additional sensors: darkness while driving, inconsistent data, and invalid
 //! files.
 
-use super::program::{done, odograph};
+use super::program::{done, odograph, printed};
 use odograph::formats::trajectory_file::{Trajectory, parse_tum};
 use std::fs;
 use std::path::Path;
@@ -65,6 +65,48 @@ fn the_path_does_not_jump_after_a_gap() {
 }
 
 #[test]
+fn a_wheel_that_goes_farther_than_the_camera_is_a_warning() {
+    let place = tempfile::tempdir().unwrap();
+    let here = place.path();
+    done(
+        here,
+        "simulate -o sim --path eight --length 2 --duration 8 --fps 10 --size 160x120 --height 0.9 --sensors --quiet",
+    );
+    let run = "run sim/frames --timestamps sim/frames.txt --camera sim/camera.yaml --wheel sim/wheel.csv";
+    let right = done(here, &format!("{run} --height 0.9 -o right"));
+    assert!(!right.contains("by the wheel the path is"), "{right}");
+    // The wheel of the simulation is up to some percent off.
+    let wrong = done(here, &format!("{run} --height 0.72 -o wrong"));
+    let found = wrong.split("multiply --height (or --field-of-view) by ").nth(1);
+    let factor: f64 = found.and_then(|rest| rest.split(',').next()?.parse().ok()).expect(&wrong);
+    assert!((factor / 1.25 - 1.0).abs() < 0.05, "{wrong}");
+    assert!(fs::read_to_string(here.join("wrong/report.html")).unwrap().contains("by the wheel the path is"));
+}
+
+#[test]
+fn a_recognised_loss_has_no_length() {
+    let place = tempfile::tempdir().unwrap();
+    let here = place.path();
+    done(here, "simulate -o sim --path straight --length 2 --fps 20 --size 240x180 --blackout 2:3 --quiet");
+    run(here, "-o out --quiet");
+    let statistics: serde_json::Value =
+        serde_json::from_str(&fs::read_to_string(here.join("out/stats.json")).unwrap()).unwrap();
+    let distance_m = statistics["distance_m"].as_f64().unwrap();
+    let poses = trajectory(&here.join("out/trajectory.tum")).poses;
+    let steps = poses.windows(2).filter(|two| two[1].time_s - two[0].time_s < 0.06);
+    let measured_m: f64 = steps
+        .map(|two| {
+            let [a, b] = [0, 1].map(|k: usize| two[k].world_from_camera.translation.vector);
+            (b - a).xy().norm()
+        })
+        .sum();
+    // A metre in the dark, without which half a metre is left.
+    assert!((distance_m - measured_m).abs() < 0.002, "{distance_m} m, not {measured_m} m");
+    let listed = printed(here, "map info out/map.gpkg");
+    assert!(listed.contains(&format!("{distance_m:.2} m")), "{listed}");
+}
+
+#[test]
 fn two_dark_seconds_are_bridged_and_the_run_is_deterministic() {
     let place = tempfile::tempdir().unwrap();
     let here = place.path();
@@ -85,6 +127,12 @@ fn two_dark_seconds_are_bridged_and_the_run_is_deterministic() {
     assert!(!trajectory(&here.join("out/trajectory.tum")).poses.iter().any(|pose| dark(pose.time_s)));
     assert!(fs::read_to_string(here.join("out/trajectory-smoothed.csv")).unwrap().contains(",sensors\n"));
     assert_eq!(trajectory(&here.join("out/carrier.tum")).poses.len(), smoothed.poses.len());
+    // Page and drawing show it.
+    let page = fs::read_to_string(here.join("out/report.html")).unwrap();
+    assert!(page.contains("the dashed path there is that of the other sensors"));
+    assert!(page.contains("camera ahead of its axle by") && !page.contains("camera_ahead_m"));
+    assert!(fs::read_to_string(here.join("out/map.svg")).unwrap().contains("lost: path by other sensors"));
+    assert!(fs::read_to_string(here.join("alone/map.svg")).unwrap().contains("lost: path unknown"));
     let statistics = fs::read_to_string(here.join("out/stats.json")).unwrap();
     assert_eq!(statistics.matches("\"used\": true").count(), 4, "{statistics}");
     assert!(!fs::read_to_string(here.join("alone/stats.json")).unwrap().contains("sensors"));

@@ -50,10 +50,13 @@ export class Plots {
     c.setTransform(ratio, 0, 0, ratio, 0, 0);
     const t = this.track, value = plot.value || (k => t.get(k, plot.field));
     const least = new Float32Array(Math.ceil(width)).fill(Infinity), most = new Float32Array(Math.ceil(width)).fill(-Infinity);
+    // Columns with a loss, over which no curve is drawn.
+    const lost = new Uint8Array(Math.ceil(width));
     let high = -Infinity;
     const first = t.at(from), last = t.at(to), stride = Math.max(1, Math.floor((last - first) / 20000));
     for (let k = first; k < last + 1 && k < t.count; k += stride) {
       const v = value(k), column = Math.floor((t.get(k, "t") - from) / (to - from) * (width - 1));
+      if (column >= 0 && !Number.isFinite(t.get(k, "x"))) lost[column] = 1;
       if (!Number.isFinite(v) || column < 0) continue;
       least[column] = Math.min(least[column], v); most[column] = Math.max(most[column], v);
       high = Math.max(high, v);
@@ -69,7 +72,7 @@ export class Plots {
     c.strokeStyle = color("--path"); c.lineWidth = 1.4; c.lineJoin = "round"; c.beginPath();
     let pen = false;
     for (let x = 0; x < width; x++) {
-      if (most[x] === -Infinity) continue;
+      if (most[x] === -Infinity) { pen = pen && !lost[x]; continue; }
       if (pen) c.lineTo(x, y(most[x])); else c.moveTo(x, y(most[x]));
       if (least[x] !== most[x]) c.lineTo(x, y(least[x]));
       pen = true;

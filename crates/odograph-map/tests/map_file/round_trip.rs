@@ -6,7 +6,7 @@ use odograph::geometry::GroundPose;
 use odograph::ground_map::{GroundMap, KeyframeImage, KeyframeImages};
 use odograph::keyframe::KeyframeId;
 use odograph::mosaic::{Mosaic, MosaicOptions, MosaicPicture};
-use odograph_map::{MapFile, PathFrame};
+use odograph_map::{MapFile, PathFrame, connected_stretches};
 
 fn rig() -> Rig {
     Rig {
@@ -29,6 +29,37 @@ fn made(count: u64) -> (tempfile::TempDir, MapFile) {
         map.add_keyframe(&keyframe(number, session), &image(number), &edges).unwrap();
     }
     (folder, map)
+}
+
+#[test]
+fn a_loss_within_a_segment_interrupts_the_path() {
+    // Every second frame is taken. Two are dropped, then sixty lost, after which the ground was
+    // recognised; a segment begins at the end.
+    let numbers = (0..20).map(|k| 2 * k).chain([42, 44, 46]).chain((60..80).map(|k| 2 * k));
+    let path: Vec<PathFrame> = numbers
+        .map(|frame| PathFrame {
+            frame,
+            segment: usize::from(frame >= 150),
+            time_s: 0.03 * frame as f64,
+            pose: GroundPose { x_m: 0.01 * frame as f64, ..pose(0) },
+        })
+        .collect();
+    let lengths: Vec<usize> = connected_stretches(&path).map(<[PathFrame]>::len).collect();
+    assert_eq!(lengths, [23, 15, 5]);
+    assert_eq!(connected_stretches(&[]).count(), 0);
+    let (folder, mut map) = made(2);
+    map.set_path(0, &path).unwrap();
+    map.close().unwrap();
+    let database = rusqlite::Connection::open(folder.path().join("map.gpkg")).unwrap();
+    let mut lines = database.prepare("SELECT frames, segment, length_m FROM paths ORDER BY start_s").unwrap();
+    let lines: Vec<(usize, usize, f64)> = lines
+        .query_map([], |row| Ok((row.get(0)?, row.get(1)?, row.get(2)?)))
+        .unwrap()
+        .collect::<rusqlite::Result<_>>()
+        .unwrap();
+    let counts: Vec<(usize, usize)> = lines.iter().map(|line| (line.0, line.1)).collect();
+    assert_eq!(counts, [(23, 0), (15, 0), (5, 1)]);
+    assert!((lines[0].2 - 0.46).abs() < 1e-9 && (lines[1].2 - 0.28).abs() < 1e-9, "{lines:?}");
 }
 
 #[test]

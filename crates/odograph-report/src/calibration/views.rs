@@ -177,7 +177,7 @@ const LARGEST_TEXT: f64 = 22.0;
 /// The error of each view as a bar with its name; views that were not used are labelled.
 pub fn errors(views: &[ShownView<'_>], rms_px: f64) -> PageDrawing {
     const WIDTH: f64 = 720.0;
-    const NAMES: f64 = 230.0;
+    const NAMES: f64 = 280.0;
     const RIGHT: f64 = WIDTH - 66.0;
     const ROW: f64 = 22.0;
     let mut used: Vec<f64> = views.iter().filter(|v| v.why_not.is_none()).map(|v| v.rms_px).collect();

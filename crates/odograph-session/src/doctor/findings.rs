@@ -3,6 +3,7 @@
 use super::appearance::{Appearance, blur_px};
 use super::intervals::Intervals;
 use super::lens::{Codec, Coded, GivenLens};
+use super::pictures::in_words;
 use super::tracking::Tracking;
 use crate::pixel_shape;
 use crate::rig::advice_for_other_size;
@@ -556,7 +557,7 @@ const LEAST_BLUR_PX: f64 = 3.0;
 /// How many frames are lost; `most` is the most frequent reason and how many frames have it.
 fn losses_text(lost: usize, frames: usize, most: (usize, Option<LossReason>)) -> String {
     let mostly = if most.0 < lost { "mostly " } else { "" };
-    let why = most.1.map_or_else(String::new, |reason| format!(", {mostly}lost:{reason}"));
+    let why = most.1.map_or_else(String::new, |reason| format!(", {mostly}because of {}", in_words(reason)));
     let have = if lost == 1 { "has" } else { "have" };
     format!("{lost} of {frames} frames {have} no pose{why}")
 }
@@ -578,8 +579,17 @@ mod tests {
     fn only_one_of_several_reasons_is_most_frequent() {
         let text = |lost, count, reason| losses_text(lost, 300, (count, reason));
         assert_eq!(text(0, 0, None), "0 of 300 frames have no pose");
-        assert_eq!(text(1, 1, Some(LossReason::Bare)), "1 of 300 frames has no pose, lost:bare");
-        assert_eq!(text(3, 3, Some(LossReason::Bare)), "3 of 300 frames have no pose, lost:bare");
-        assert_eq!(text(3, 2, Some(LossReason::Bare)), "3 of 300 frames have no pose, mostly lost:bare");
+        assert_eq!(
+            text(1, 1, Some(LossReason::Bare)),
+            "1 of 300 frames has no pose, because of too little texture"
+        );
+        assert_eq!(
+            text(3, 3, Some(LossReason::Bare)),
+            "3 of 300 frames have no pose, because of too little texture"
+        );
+        assert_eq!(
+            text(3, 2, Some(LossReason::Bare)),
+            "3 of 300 frames have no pose, mostly because of too little texture"
+        );
     }
 }

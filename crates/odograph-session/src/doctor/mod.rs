@@ -2,13 +2,14 @@
 //!
 //! Some 300 frames are looked at, in stretches of consecutive ones spread over the recording: their
 //! images, and how the tracker follows them. Each [`Finding`] has a measure, its unit, a
-//! [`Judgement`], and what to do about it. Thresholds are derived from measurements where their
-//! comment says so, and otherwise chosen.
+//! [`Judgement`], and what to do about it; an [`ExaminedFrame`] shows some of them. Thresholds are
+//! derived from measurements where their comment says so, and otherwise chosen.
 
 mod appearance;
 mod findings;
 mod intervals;
 mod lens;
+mod pictures;
 mod stretches;
 mod tracking;
 
@@ -24,6 +25,8 @@ use odograph::error::{Error, Result};
 use odograph::fixed_pattern::{FixedPattern, ImageMask};
 use odograph::odometry::EarlierPass;
 use odograph_video::Source;
+pub use pictures::ExaminedFrame;
+use pictures::Pictures;
 use serde::Serialize;
 use std::ops::Range;
 use tracking::{Stretch, Tracking};
@@ -43,6 +46,9 @@ pub struct Diagnosis {
     pub findings: Vec<Finding>,
     /// Defects of the recording, one sentence each.
     pub warnings: Vec<String>,
+    /// Frames that show what was found.
+    #[serde(skip)]
+    pub pictures: Vec<ExaminedFrame>,
 }
 
 impl Diagnosis {
@@ -114,6 +120,7 @@ impl RunBuilder {
             frames_looked_at: looked_at.frames,
             duration_s: looked_at.times_s.last().zip(looked_at.times_s.first()).map_or(0.0, |(b, a)| b - a),
             warnings: source.take_warnings(),
+            pictures: looked_at.pictures.frames(),
         })
     }
 }
@@ -123,6 +130,7 @@ struct Looked {
     appearance: Appearance,
     fixed: FixedPattern,
     tracking: Tracking,
+    pictures: Pictures,
     /// Times of all frames, those that were only passed included.
     times_s: Vec<f64>,
     /// Frames that were looked at.
@@ -135,6 +143,7 @@ impl Looked {
             appearance: Appearance::new(size, plan.odometry.detection),
             fixed: given.into_iter().fold(FixedPattern::new(size), FixedPattern::with_given),
             tracking: Tracking::new(plan),
+            pictures: Pictures::default(),
             times_s: Vec::new(),
             frames: 0,
         }
@@ -197,7 +206,10 @@ impl Looked {
             self.frames += 1;
             self.fixed.look(&frame.gray);
             let look = self.appearance.look(&frame.gray);
+            let (image, steps) = ((frame.number, frame.gray.clone()), self.tracking.steps.len());
             let estimate = stretch.follow(frame, look, &mut self.tracking)?;
+            let step_px = self.tracking.steps.get(steps).map(|step| step.most_px);
+            self.pictures.look(image, &estimate, step_px, stretch.tracks());
             observer.frame(&estimate);
             if pattern_may_end && stretch.pattern().is_some() {
                 break;

@@ -11,7 +11,7 @@ use odograph::geometry::{GroundPose, Pixel, length};
 use odograph::motion::{MotionModel, Readout};
 use odograph::mounting::{CalibrationMonitor, CalibrationUpdate};
 use odograph::numerics::median;
-use odograph::odometry::{EarlierPass, Odometry};
+use odograph::odometry::{EarlierPass, Odometry, TrackView};
 use odograph::trajectory::{FrameEstimate, LossReason, TrackStatus};
 use odograph_video::Frame;
 
@@ -207,6 +207,11 @@ impl Stretch {
             self.found = monitor.watch(&estimate, &self.odometry);
         }
         Ok(estimate)
+    }
+
+    /// The corners in the frame that was followed last.
+    pub fn tracks(&self) -> &[TrackView] {
+        self.odometry.tracks()
     }
 
     /// The pattern that the camera adds to its images, once it is known.

@@ -7,6 +7,7 @@ use crate::observer::Observer;
 use crate::pipeline::Tracked;
 use crate::plan::RunPlan;
 use crate::statistics::LoopStatistics;
+use crate::wheel_scale;
 use odograph::camera::Rig;
 use odograph::error::Result;
 use odograph::filter::fusion::{self, Reckoned, SensorReport, Sensors};
@@ -75,6 +76,7 @@ impl Improved {
         tracked.warnings.extend(tracked.mapping.warning());
         tracked.warnings.extend(tracked.mapping.scale_warning());
         tracked.warnings.extend(plan.sensors.warnings(&reports));
+        tracked.warnings.extend(wheel_scale::warning(&reports));
         let markers = tracked.mapping.marker_statistics().map(|(statistics, warnings)| {
             tracked.warnings.extend(warnings);
             statistics

@@ -29,6 +29,7 @@ use crate::stillness::stillness_warning;
 use crate::{files, pictures, tilt};
 use abrupt::widen_abrupt;
 use improvement::{Improved, carrier_frames};
+use odograph::drawing::ReckonedStretch;
 use odograph::error::{Error, Result};
 use odograph::filter::fusion::{SensorReport, Sensors};
 use odograph::formats::{camera_file, rig_file};
@@ -71,7 +72,7 @@ pub fn finish(
     let mut pose_frames = PoseFrames::from(plan.pose_frame()?);
     tracked.recalibrated.iter().for_each(|(frame, rig)| pose_frames.recalibrate(*frame, rig));
     let failure = ended_early(&mut tracked);
-    let mut run = Finishing { failure, plan, pose_frames, tracked, folder, ending };
+    let mut run = Finishing { failure, plan, pose_frames, tracked, reckoned: Vec::new(), folder, ending };
     run.finish().inspect_err(|error| give_warnings(live_warnings(&run.tracked), error, ending.observer))
 }
 
@@ -101,6 +102,8 @@ struct Finishing<'a> {
     pose_frames: PoseFrames,
     /// Frames of the camera in the odometry frame.
     tracked: Tracked,
+    /// The stretches of the path that other sensors have given.
+    reckoned: Vec<ReckonedStretch>,
     folder: &'a mut OutputFolder,
     ending: &'a Ending<'a>,
     /// The error that ended the recording early, or the first that prevented an output.
@@ -276,7 +279,14 @@ impl Finishing<'_> {
         }
         let frames = improved.corrected.as_mut().unwrap_or(&mut self.tracked.frames);
         let recalibrated = &self.tracked.recalibrated;
-        write_smoothed(frames, &improved.reckoned, self.plan, recalibrated, &self.pose_frames, self.folder)?;
+        self.reckoned = write_smoothed(
+            frames,
+            &improved.reckoned,
+            self.plan,
+            recalibrated,
+            &self.pose_frames,
+            self.folder,
+        )?;
         if let Some(bag) = &self.ending.output.bag
             && let Err(error) = self.write_bag(bag, improved)
         {
@@ -414,10 +424,12 @@ impl Finishing<'_> {
         let keyframes = self.tracked.mapping.own_places();
         let landmarks = markers.map_or_else(Vec::new, MarkerStatistics::drawn);
         let marks = std::mem::take(&mut self.tracked.marks);
+        let reckoned = std::mem::take(&mut self.reckoned);
         let tracked = &mut self.tracked;
         let shown = pictures::DrawingInputs {
             description,
             frames,
+            reckoned: &reckoned,
             loops: &loops,
             landmarks: &landmarks,
             keyframes: &keyframes,

@@ -53,9 +53,10 @@ impl McapLog {
         })
     }
 
-    /// Whether a file may be written there; checked before anything else.
-    pub fn check(path: &Path, force: bool) -> Result<()> {
-        files::check_output(path, force)
+    /// Whether a file may be written there; checked before anything else. `results` is the folder
+    /// of the results.
+    pub fn check(path: &Path, results: Option<&Path>, force: bool) -> Result<()> {
+        files::check_output(path, results, force)
     }
 
     /// Adds a frame of the path of `of` without waiting longer than the run's policy allows;

@@ -130,7 +130,9 @@ impl RunBuilder {
         observer: &dyn Observer,
         open: impl FnOnce(&SourcePlan, &Watch) -> Result<LiveInput>,
     ) -> Result<LiveRun> {
-        options.mcap.as_deref().map_or(Ok(()), |path| McapLog::check(path, self.output.force))?;
+        if let Some(path) = &options.mcap {
+            McapLog::check(path, self.output.folder.as_deref(), self.output.force)?;
+        }
         self.check_separate(options.mcap.as_deref())?;
         let (path, temporary) = self.output.place()?;
         let folder =

@@ -1,6 +1,7 @@
 //! Markers along the path: heading ticks, uncertainty, start and end, and the legend.
 
 use super::path::MeasuredPath;
+use super::reckoned;
 use super::scale::{duration_text, length_text, round_step};
 use super::svg::{coordinate as c, text_width};
 use super::window::{DrawingWindow, RIGHT_MARGIN};
@@ -28,6 +29,7 @@ const SEEN: f64 = 8.0;
 #[derive(Debug, Default)]
 pub(super) struct Shown {
     pub gaps: bool,
+    pub reckoned: bool,
     /// Distance along the path between heading ticks, metres.
     pub headings: Option<f64>,
     pub ellipses: bool,
@@ -405,6 +407,9 @@ pub(super) fn legend(
         );
         cross(5.0, 0.0, &mut mark);
         items.push(labelled(44.0, 2.0, mark, "lost: path unknown"));
+    }
+    if shown.reckoned {
+        items.push(labelled(46.0, 0.0, reckoned::mark(), "lost: path by other sensors"));
     }
     let (mut x, mut y) = (window.left, window.bottom() + 84.0);
     let _ = writeln!(body, "<g font-size=\"15\">");

@@ -1,13 +1,14 @@
 //! The movement map as a drawing: the path over the ground in metres, as SVG text.
 //!
 //! World x runs to the right and world y up, at the same scale, as any graph of the trajectory file
-//! shows them. Only the measured path is a solid line; gaps are thin dashed straight lines. The
-//! drawing is made for a light background; every part also has a class, so that a page around it
-//! can recolour it.
+//! shows them. Only the measured path is a solid line. Gaps are dashed: as other sensors have the
+//! path there, or thin straight lines. The drawing is made for a light background; every part also
+//! has a class, so that a page around it can recolour it.
 
 pub mod canvas;
 mod markers;
 mod path;
+mod reckoned;
 pub mod scale;
 pub mod svg;
 mod window;
@@ -16,6 +17,7 @@ use crate::geometry::GroundPoint;
 use crate::geometry::Placement;
 use crate::trajectory::{FrameSummary, distance_m};
 use path::{MeasuredPath, simplified};
+pub use reckoned::ReckonedStretch;
 use std::fmt::Write;
 use svg::{coordinate, escape};
 use window::DrawingWindow;
@@ -43,6 +45,8 @@ pub struct MapDrawing<'a> {
     pub loops: &'a [[GroundPoint; 2]],
     /// Markers on the ground: crosses with their numbers.
     pub landmarks: &'a [DrawnLandmark],
+    /// The path by other sensors where the camera was lost.
+    pub reckoned: &'a [ReckonedStretch],
 }
 
 /// A marker on the ground as a cross with its number.
@@ -73,7 +77,7 @@ pub struct Backdrop<'a> {
 
 impl Default for MapDrawing<'_> {
     fn default() -> Self {
-        Self { title: "", width: 1200.0, backdrop: None, loops: &[], landmarks: &[] }
+        Self { title: "", width: 1200.0, backdrop: None, loops: &[], landmarks: &[], reckoned: &[] }
     }
 }
 
@@ -89,7 +93,7 @@ impl MapDrawing<'_> {
         let mut heading = String::new();
         let top = self.heading(frames, &path, page_width, &mut heading);
         let backed = backdrop.map(|b| (b.placement, b.width_px, b.height_px));
-        let window = DrawingWindow::around(&path, backed, page_width, top);
+        let window = DrawingWindow::around(&path, self.reckoned, backed, page_width, top);
         let mut body = String::new();
         window.ground(&mut body);
         let _ = writeln!(body, "<g clip-path=\"url(#{})\">", window.clip_name());
@@ -99,8 +103,8 @@ impl MapDrawing<'_> {
         window.grid(&mut body);
         let mut shown = markers::Shown::default();
         markers::ellipses(&path, &window, &mut shown, &mut body);
-        let breaks = gaps(&path, &window, &mut body);
-        shown.gaps = !breaks.is_empty();
+        let first_s = frames.first().map_or(0.0, |frame| frame.time_s);
+        let breaks = gaps(&path, self.reckoned, first_s, &window, &mut shown, &mut body);
         measured_path(&path, &window, &mut body);
         breaks.into_iter().for_each(|(x, y)| markers::cross(x, y, &mut body));
         markers::loops(self.loops, &window, &mut shown, &mut body);
@@ -252,32 +256,71 @@ fn measured_path(path: &MeasuredPath<'_>, window: &DrawingWindow, body: &mut Str
     let _ = writeln!(body, "</g>");
 }
 
-/// Dashed lines over the gaps, where the path is unknown. Returns the ends of the gaps.
-fn gaps(path: &MeasuredPath<'_>, window: &DrawingWindow, body: &mut String) -> Vec<(f64, f64)> {
+/// Dashed lines over the gaps: the path by other sensors, or a straight line where it is unknown.
+/// `first_s` is the time of the first frame. Returns the ends of the gaps.
+fn gaps(
+    path: &MeasuredPath<'_>,
+    reckoned: &[ReckonedStretch],
+    first_s: f64,
+    window: &DrawingWindow,
+    shown: &mut markers::Shown,
+    body: &mut String,
+) -> Vec<(f64, f64)> {
     let at = |place: &path::PathPoint<'_>| window.page(place.at.x_m, place.at.y_m);
     let mut breaks = vec![];
+    let known = |before: &path::PathPoint<'_>, after: Option<&path::PathPoint<'_>>| {
+        let after_s = after.map(|after| first_s + after.time_s);
+        ReckonedStretch::between(reckoned, first_s + before.time_s, after_s)
+    };
     for pair in path.segments.windows(2) {
         if let (Some(before), Some(after)) = (pair[0].last(), pair[1].first()) {
-            let (before, after) = (at(before), at(after));
-            let _ = writeln!(
-                body,
-                "<line class=\"gap\" stroke=\"{MUTED}\" stroke-width=\"1.6\" stroke-dasharray=\"2 6\" \
-                 stroke-linecap=\"round\" x1=\"{}\" y1=\"{}\" x2=\"{}\" y2=\"{}\"/>",
-                coordinate(before.0),
-                coordinate(before.1),
-                coordinate(after.0),
-                coordinate(after.1)
-            );
-            breaks.extend([before, after]);
+            let ends = [at(before), at(after)];
+            if let Some(stretch) = known(before, Some(after)) {
+                draw_reckoned(stretch, before, Some(after), window, body);
+                shown.reckoned = true;
+            } else {
+                let _ = writeln!(
+                    body,
+                    "<line class=\"gap\" stroke=\"{MUTED}\" stroke-width=\"1.6\" stroke-dasharray=\"2 6\" \
+                     stroke-linecap=\"round\" x1=\"{}\" y1=\"{}\" x2=\"{}\" y2=\"{}\"/>",
+                    coordinate(ends[0].0),
+                    coordinate(ends[0].1),
+                    coordinate(ends[1].0),
+                    coordinate(ends[1].1)
+                );
+                shown.gaps = true;
+            }
+            breaks.extend(ends);
         }
     }
     if path.ends_lost
         && let Some(last) = path.places().next_back()
     {
+        match known(last, None) {
+            Some(stretch) => {
+                draw_reckoned(stretch, last, None, window, body);
+                shown.reckoned = true;
+            }
+            None => shown.gaps = true,
+        }
         breaks.push(at(last));
     }
     breaks.dedup_by(|a, b| (a.0 - b.0).hypot(a.1 - b.1) < 1.0);
     breaks
+}
+
+/// Draws a stretch between the measured poses before and after it.
+fn draw_reckoned(
+    stretch: &ReckonedStretch,
+    before: &path::PathPoint<'_>,
+    after: Option<&path::PathPoint<'_>>,
+    window: &DrawingWindow,
+    body: &mut String,
+) {
+    let measured = |point: &path::PathPoint<'_>| window.page(point.at.x_m, point.at.y_m);
+    let reckoned = stretch.points.iter().map(|at| window.page(at.x_m, at.y_m));
+    let points = [measured(before)].into_iter().chain(reckoned).chain(after.map(measured));
+    polyline(&simplified(points, 0.25), &reckoned::style(), body);
 }
 
 fn polyline(points: &[(f64, f64)], style: &str, body: &mut String) {

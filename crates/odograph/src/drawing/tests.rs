@@ -101,9 +101,41 @@ fn a_gap_is_dashed_and_not_solid() {
 }
 
 #[test]
+fn a_gap_that_other_sensors_know_is_drawn_as_they_have_it() {
+    let mut frames: Vec<_> = (0..50).map(|k| tracked(k, 0.2 * k as f64, 0.0, 0.0, 0.0)).collect();
+    frames.extend((50..60).map(lost));
+    frames.extend((60..90).map(|k| FrameSummary { segment: 1, ..tracked(k, 0.2 * k as f64, 0.0, 0.0, 0.0) }));
+    frames.extend((90..100).map(lost));
+    // A detour of 40 m in the first gap, outside the measured path, and straight on in the second.
+    let stretch = |from: u64, to: u64, y_m: f64| ReckonedStretch {
+        from_s: lost(from).time_s,
+        to_s: lost(to).time_s,
+        points: (from..=to).map(|k| GroundPoint::new(0.2 * k as f64, y_m)).collect(),
+    };
+    let both = [stretch(50, 59, 40.0), stretch(90, 99, 0.0)];
+    let with = |reckoned: &[ReckonedStretch]| {
+        let svg = MapDrawing { reckoned, ..MapDrawing::default() }.svg(&frames);
+        assert_well_formed(&svg);
+        svg
+    };
+    let svg = with(&both);
+    assert_eq!(svg.matches("class=\"reckoned\"").count(), 3, "two and the legend: {svg}");
+    assert!(svg.contains("lost: path by other sensors") && !svg.contains("path unknown"), "{svg}");
+    let window = DrawingWindow::around(&MeasuredPath::new(&frames), &both, None, 1200.0, 20.0);
+    let top = window.page(10.0, 40.0);
+    assert!(top.1 > window.top && svg.contains(&format!("{} {}", coordinate(top.0), coordinate(top.1))));
+    // The second gap alone is known.
+    let svg = with(&both[1..]);
+    assert!(svg.contains("lost: path by other sensors") && svg.contains("path unknown"), "{svg}");
+    // Numbers that cannot be drawn are as none.
+    let odd = ReckonedStretch { points: vec![GroundPoint::new(f64::NAN, 0.0)], ..both[0].clone() };
+    assert!(with(&[odd]).contains("path unknown"));
+}
+
+#[test]
 fn world_x_runs_right_and_world_y_up() {
     let frames = [tracked(0, 0.0, 0.0, 0.0, 0.0), tracked(1, 1.0, 0.5, 0.0, 0.0)];
-    let window = DrawingWindow::around(&MeasuredPath::new(&frames), None, 1200.0, 20.0);
+    let window = DrawingWindow::around(&MeasuredPath::new(&frames), &[], None, 1200.0, 20.0);
     let (start, end) = (window.page(0.0, 0.0), window.page(1.0, 0.5));
     assert!(end.0 > start.0 && end.1 < start.1);
     assert!(((end.0 - start.0) - 2.0 * (start.1 - end.1)).abs() < 1e-9, "one scale");
@@ -126,7 +158,7 @@ fn a_backdrop_is_drawn_at_its_placement() {
     let svg = MapDrawing { backdrop: Some(backdrop), ..MapDrawing::default() }.svg(&frames);
     assert_well_formed(&svg);
     let window =
-        DrawingWindow::around(&MeasuredPath::new(&frames), Some((placement, 200, 100)), 1200.0, 20.0);
+        DrawingWindow::around(&MeasuredPath::new(&frames), &[], Some((placement, 200, 100)), 1200.0, 20.0);
     let corner = window.page(-0.505, 0.505);
     assert!(svg.contains(&format!("<image x=\"{:.3}\" y=\"{:.3}\"", corner.0, corner.1)));
     let odd = Backdrop { placement: Placement { x_m: f64::NAN, ..placement }, ..backdrop };

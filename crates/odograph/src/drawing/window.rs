@@ -1,6 +1,7 @@
 //! The part of the ground that is drawn, and where on the page.
 
 use super::path::MeasuredPath;
+use super::reckoned::ReckonedStretch;
 use super::scale;
 use super::svg::{coordinate, escape};
 use super::{AXIS, BACKGROUND, FAINT, INK, MUTED};
@@ -40,9 +41,11 @@ pub(super) struct DrawingWindow {
 }
 
 impl DrawingWindow {
-    /// The window that shows the whole path, and all of the backdrop.
+    /// The window that shows the whole path, what other sensors have of it, and all of the
+    /// backdrop.
     pub fn around(
         path: &MeasuredPath<'_>,
+        reckoned: &[ReckonedStretch],
         backdrop: Option<(Placement, usize, usize)>,
         page_width: f64,
         top: f64,
@@ -54,6 +57,8 @@ impl DrawingWindow {
             high = (high.0.max(x), high.1.max(y));
         };
         path.places().for_each(|place| include(place.at.x_m, place.at.y_m));
+        let drawable = reckoned.iter().filter(|stretch| stretch.is_drawable());
+        drawable.flat_map(|stretch| &stretch.points).for_each(|at| include(at.x_m, at.y_m));
         if let Some((placement, columns, rows)) = backdrop {
             for (column, row) in [(-0.5, -0.5), (columns as f64 - 0.5, rows as f64 - 0.5)] {
                 let corner = placement.ground_from_pixel(column, row);

@@ -7,7 +7,7 @@ use odograph::error::{Error, Result};
 use odograph::formats::decimal::Rounded;
 use odograph::ground_map::GroundMap;
 use odograph::keyframe::{EdgeKind, KeyframeId};
-use odograph_map::{MapClaim, MapFile, MapLandmark, PathFrame, SessionOrigin};
+use odograph_map::{MapClaim, MapFile, MapLandmark, PathFrame, SessionOrigin, connected_stretches};
 use serde::Serialize;
 use std::collections::BTreeMap;
 use std::fmt::Write;
@@ -164,7 +164,7 @@ fn gathered(file: &MapFile) -> Result<MapInfo> {
                 source: session.source,
                 keyframes: map.keyframes.iter().filter(|keyframe| keyframe.session == session.id).count(),
                 frames: path.len(),
-                path_m: length_m(&path),
+                path_m: over_ground_m(connected_stretches(&path)),
                 unfinished: unfinished.contains(&session.id),
                 masked: map.masks.get(&session.id).map(|mask| mask.share()),
                 start_s: path.first().map(|frame| frame.time_s),
@@ -213,11 +213,11 @@ fn markers(landmarks: Vec<MapLandmark>) -> Vec<MarkerInfo> {
     landmarks.into_iter().map(info).collect()
 }
 
-/// Length of the path, metres; what was not measured does not count.
-fn length_m(path: &[PathFrame]) -> f64 {
-    let step = |two: &[PathFrame]| two[1].pose.distance_m(&two[0].pose);
-    // The sum of nothing is -0.
-    path.windows(2).filter(|two| two[0].segment == two[1].segment).map(step).fold(0.0, |sum, step| sum + step)
+/// Length of connected stretches over the ground, metres: what `odograph run` calls its distance.
+pub fn over_ground_m<'a>(stretches: impl Iterator<Item = &'a [PathFrame]>) -> f64 {
+    let steps = stretches.flat_map(|stretch| stretch.windows(2));
+    // A fold: the sum of no numbers is −0.
+    steps.map(|two| two[0].pose.distance_m(&two[1].pose)).fold(0.0, |a, b| a + b)
 }
 
 fn extent_m(map: &GroundMap) -> Option<[f64; 4]> {
@@ -397,6 +397,7 @@ fn written_ahead(map: &Path) -> PathBuf {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use odograph::geometry::GroundPose;
 
     #[test]
     fn what_rounds_to_zero_has_no_sign() {
@@ -414,5 +415,22 @@ mod tests {
         let mut text = String::new();
         describe_marker(&marker, &mut text);
         assert!(text.contains("x 0.000 m, y -1.250 m, ± 1.0 mm; seen 1 time, session 0"), "{text}");
+    }
+
+    #[test]
+    fn the_length_is_that_of_a_run() {
+        let at = |frame: u64, segment: usize, x_m: f64, height_m: f64| PathFrame {
+            frame,
+            segment,
+            time_s: frame as f64,
+            pose: GroundPose { x_m, ..GroundPose::level(height_m) },
+        };
+        // A metre, up and down; a gap of ten; half a metre.
+        let frames = [at(0, 0, 0.0, 1.0), at(1, 0, 1.0, 2.0), at(2, 1, 11.0, 1.0), at(3, 1, 11.5, 1.0)];
+        assert_eq!(over_ground_m(connected_stretches(&frames)), 1.5);
+        assert_eq!(over_ground_m(connected_stretches(&frames[..1])).to_string(), "0");
+        // The same gap, after which the ground was recognised: the segment goes on.
+        let recognised = [at(0, 0, 0.0, 1.0), at(1, 0, 1.0, 2.0), at(5, 0, 11.0, 1.0), at(6, 0, 11.5, 1.0)];
+        assert_eq!(over_ground_m(connected_stretches(&recognised)), 1.5);
     }
 }

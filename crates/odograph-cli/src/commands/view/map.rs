@@ -7,7 +7,7 @@ use odograph::ground_map::MapKeyframe;
 use odograph::mosaic::{MapMosaic, Mosaic, MosaicSquare};
 use odograph_live::ground::GrowingTiles;
 use odograph_live::{GroundPicture, Mark, TiledGround, TrackRecord};
-use odograph_map::{MapFile, PathFrame};
+use odograph_map::{MapFile, PathFrame, connected_stretches};
 use odograph_session::live::{map_graph, map_markers};
 use serde_json::Value;
 use std::collections::BTreeMap;
@@ -53,9 +53,12 @@ impl MapView {
         for session in file.sessions()? {
             let own = keyframes.remove(&session.id).unwrap_or_default();
             let mut frames = file.path_of(session.id)?;
-            if frames.is_empty() {
+            let stretches: Vec<&[PathFrame]> = if frames.is_empty() {
                 frames = own.iter().map(|keyframe| frame_of(keyframe)).collect();
-            }
+                frames.chunk_by(|a, b| a.segment == b.segment).collect()
+            } else {
+                connected_stretches(&frames).collect()
+            };
             let Some(first) = frames.first() else { continue };
             let begin_s =
                 records.last().map_or(0.0, |last: &TrackRecord| f64::from(last.values[0]) + PAUSE_S);
@@ -68,7 +71,7 @@ impl MapView {
             });
             sources.push(session.source.clone());
             let shift_s = begin_s - first.time_s;
-            records.extend(records_of(&frames, &own, shift_s, segments));
+            records.extend(records_of(&stretches, &own, shift_s, segments));
             segments += frames.last().map_or(0, |last| last.segment) + 1;
         }
         let camera = &map.camera;
@@ -89,19 +92,20 @@ fn frame_of(keyframe: &MapKeyframe) -> PathFrame {
     PathFrame { frame, segment, time_s, pose }
 }
 
-/// The frames of a session. How well each is known is what its keyframe before it says.
+/// The frames of a session in connected stretches. How well each is known is what its keyframe
+/// before it says.
 fn records_of(
-    frames: &[PathFrame],
+    stretches: &[&[PathFrame]],
     keyframes: &[&MapKeyframe],
     shift_s: f64,
     segments: usize,
 ) -> Vec<TrackRecord> {
-    let speed = |k: usize| {
-        let (a, b) = (&frames[k.saturating_sub(1)], &frames[(k + 1).min(frames.len() - 1)]);
+    let speed = |stretch: &[PathFrame], k: usize| {
+        let (a, b) = (&stretch[k.saturating_sub(1)], &stretch[(k + 1).min(stretch.len() - 1)]);
         let way = b.pose.distance_m(&a.pose);
-        if a.segment == b.segment && b.time_s > a.time_s { way / (b.time_s - a.time_s) } else { f64::NAN }
+        if b.time_s > a.time_s { way / (b.time_s - a.time_s) } else { f64::NAN }
     };
-    let record = |(k, frame): (usize, &PathFrame)| {
+    let record = |frame: &PathFrame, speed_m_s: f64| {
         let GroundPose { x_m, y_m, heading_rad, .. } = frame.pose;
         let known = keyframes.partition_point(|keyframe| keyframe.frame <= frame.frame);
         let covariance = keyframes.get(known.saturating_sub(1)).map(|keyframe| keyframe.covariance);
@@ -116,14 +120,27 @@ fn records_of(
             entry(0, 1),
             entry(1, 1),
             entry(2, 2).max(0.0).sqrt(),
-            speed(k),
+            speed_m_s,
             0.0,
             (segments + frame.segment) as f64,
         ];
         values.iter_mut().zip(numbers).for_each(|(value, number)| *value = number as f32);
         TrackRecord { values }
     };
-    frames.iter().enumerate().map(record).collect()
+    // The page draws no line over a record without a pose.
+    let lost = |before: &PathFrame, after: &PathFrame| {
+        let mut values = [f32::NAN; TrackRecord::LENGTH];
+        values[0] = (0.5 * (before.time_s + after.time_s) + shift_s) as f32;
+        TrackRecord { values }
+    };
+    let mut records = Vec::new();
+    let mut before: Option<&PathFrame> = None;
+    for stretch in stretches {
+        records.extend(before.zip(stretch.first()).map(|(before, after)| lost(before, after)));
+        records.extend(stretch.iter().enumerate().map(|(k, frame)| record(frame, speed(stretch, k))));
+        before = stretch.last();
+    }
+    records
 }
 
 /// The mosaic that the map has; where it has none it is rendered while it is looked at.
@@ -166,3 +183,29 @@ fn render(mut file: MapFile, tiles: &GrowingTiles, ended: &AtomicBool) -> Result
 
 /// Both kinds of mosaic have squares of one size.
 const _: () = assert!(odograph::mosaic::MOSAIC_TILE_PX == Mosaic::TILE_SIDE_PX);
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn between_two_stretches_there_is_no_pose() {
+        let frames: Vec<PathFrame> = (0..10)
+            .chain(40..50)
+            .map(|frame| PathFrame {
+                frame,
+                segment: 0,
+                time_s: 0.1 * frame as f64,
+                pose: GroundPose { x_m: 0.01 * frame as f64, ..GroundPose::level(1.0) },
+            })
+            .collect();
+        let stretches: Vec<&[PathFrame]> = connected_stretches(&frames).collect();
+        let records = records_of(&stretches, &[], 5.0, 0);
+        let [time_s, x_m, speed_m_s] = [0, 1, 8].map(|field| records.iter().map(move |r| r.values[field]));
+        assert_eq!(x_m.clone().map(f32::is_nan).collect::<Vec<_>>().iter().filter(|nan| **nan).count(), 1);
+        assert!(x_m.clone().nth(10).is_some_and(f32::is_nan));
+        assert!(time_s.clone().nth(10).is_some_and(|time_s| (time_s - 7.45).abs() < 1e-3));
+        // No speed over the gap.
+        assert!(speed_m_s.filter(|speed| !speed.is_nan()).all(|speed| (speed - 0.1).abs() < 1e-3));
+    }
+}

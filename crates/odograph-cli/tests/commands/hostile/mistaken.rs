@@ -6,7 +6,7 @@ use std::fs;
 use std::process::{Command, Stdio};
 
 /// Call, exit code, and what its message contains.
-const CALLS: [(&str, i32, &str); 38] = [
+const CALLS: [(&str, i32, &str); 40] = [
     (
         "ground ran --camera camera.yaml --height 1 -o r.toml",
         3,
@@ -21,6 +21,16 @@ const CALLS: [(&str, i32, &str); 38] = [
     ("undistort ran --camera camera.yaml -o u", 3, "give its recording, drive.y4m"),
     ("run ran --camera camera.yaml --height 1 -o out", 3, "give its recording, drive.y4m"),
     ("info ran", 3, "give its recording, drive.y4m"),
+    (
+        "info killed",
+        3,
+        "killed is the folder of a run that did not end, not of a recording; give its recording",
+    ),
+    (
+        "run - --camera camera.yaml --height 1 -o out",
+        3,
+        "standard input: there is nothing in it, not even the header of a Y4M stream",
+    ),
     ("map info ran", 3, "this is the folder of a run; its map is ran/map.gpkg"),
     ("localize drive.y4m --map ran", 3, "its map is ran/map.gpkg"),
     ("run drive.y4m --camera camera.yaml --height 1 --map ran -o out", 3, "its map is ran/map.gpkg"),
@@ -119,6 +129,8 @@ fn a_mistaken_file_is_named_with_what_to_give_instead() {
     let dot = [&b"YUV4MPEG2 W1 H1 F30:1 Ip A1:1 Cmono\n"[..], &b"FRAME\n\x80".repeat(12)].concat();
     fs::write(place.path("dot.y4m"), dot).unwrap();
     fs::create_dir(place.path("films")).unwrap();
+    fs::create_dir(place.path("killed")).unwrap();
+    fs::write(place.path("killed/run.toml.part"), "").unwrap();
     fs::write(place.path("films/drive.mp4"), CAMERA).unwrap();
     for (call, code, words) in CALLS {
         let mut program = Command::new(env!("CARGO_BIN_EXE_odograph"));

@@ -20,7 +20,7 @@ enum Named {
 }
 
 /// Calls with the output as `@`.
-const CALLS: [(Named, &str); 28] = [
+const CALLS: [(Named, &str); 29] = [
     (Named::Folder, "run drive.y4m --camera camera.yaml --height 1 -o @"),
     (Named::Folder, "live drive.y4m --camera camera.yaml --height 1 -o @"),
     (Named::Folder, "localize drive.y4m --map map.gpkg -o @"),
@@ -36,6 +36,7 @@ const CALLS: [(Named, &str); 28] = [
     (Named::Folder, "calibrate board --board chessboard:7x5:30mm -o new.yaml --report @"),
     (Named::File("yaml"), "calibrate board --board chessboard:7x5:30mm -o @"),
     (Named::File("toml"), "ground board/board00.png --board chessboard:7x5:30mm --camera lens.yaml -o @"),
+    (Named::File("html"), "doctor drive.y4m --camera camera.yaml -q -o @"),
     (Named::File("pdf"), "board --board chessboard:9x6:25mm -o @"),
     (Named::File("yaml"), "camera convert camera.yaml --to ros -o @"),
     (Named::File("svg"), "evaluate ran/trajectory.tum ran/trajectory.tum --plot @"),

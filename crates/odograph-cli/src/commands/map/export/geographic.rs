@@ -6,7 +6,7 @@ use odograph::error::{Error, Result};
 use odograph::formats::geojson::{self, Feature, degrees, quoted};
 use odograph::geometry::EarthPosition;
 use odograph::georeference::Anchor;
-use odograph_map::{MapFile, PathFrame};
+use odograph_map::{MapFile, PathFrame, connected_stretches};
 use std::fmt::Write;
 use std::path::Path;
 
@@ -41,7 +41,7 @@ pub fn write(file: &MapFile, path: &Path, form: GeographicForm, anchor: &Anchor)
     let mut lines = Vec::new();
     for session in file.sessions()? {
         let frames = file.path_of(session.id)?;
-        for stretch in frames.chunk_by(|a, b| a.segment == b.segment).filter(|stretch| stretch.len() > 1) {
+        for stretch in connected_stretches(&frames).filter(|stretch| stretch.len() > 1) {
             let place = |frame: &PathFrame| anchor.place(frame.pose.x_m, frame.pose.y_m);
             lines.push(GeographicLine {
                 session: session.id,

@@ -9,13 +9,13 @@ mod picture;
 mod ply;
 mod trajectory;
 
-use super::info::stale;
+use super::info::{over_ground_m, stale};
 use crate::{Outcome, console, files, interrupt, lengths};
 use anchor::{AnchorArgument, anchor_of};
 use geographic::GeographicForm;
 use odograph::error::{Error, Result};
 use odograph::georeference::Anchor;
-use odograph_map::{GeoTiff, MapFile, MosaicLayer, PathFrame};
+use odograph_map::{GeoTiff, MapFile, MosaicLayer, PathFrame, connected_stretches};
 use std::path::{Path, PathBuf};
 use trajectory::TrajectoryForm;
 
@@ -163,7 +163,10 @@ pub fn export(arguments: &ExportArguments) -> Result<Outcome> {
         Form::Picture(form) => write_picture(&file, output, form, anchor.as_ref())?,
         Form::Ply => ply::write(&file, output, arguments.max_points)?,
         Form::Grid => grid::write(&file, &mosaic_of(&file)?, output, arguments.resolution)?,
-        Form::Trajectory(form) => trajectory::write(&path_asked(&file, arguments.session)?, output, form)?,
+        Form::Trajectory(form) => {
+            let (frames, length_m) = path_asked(&file, arguments.session)?;
+            trajectory::write((&frames, length_m), output, form)?
+        }
         Form::Geographic(form) => {
             let anchor = anchor.ok_or_else(|| without_anchor(output))?;
             geographic::write(&file, output, form, &anchor)?
@@ -262,9 +265,9 @@ fn coarser(layer: &MosaicLayer, level: u32) -> String {
     )
 }
 
-/// The path of the given session, or of the only one; that of the keyframes if the map has no path
-/// yet.
-fn path_asked(file: &MapFile, session: Option<u32>) -> Result<Vec<PathFrame>> {
+/// The path of the given session, or of the only one, and its length, metres; that of the keyframes
+/// if the map has no path yet.
+fn path_asked(file: &MapFile, session: Option<u32>) -> Result<(Vec<PathFrame>, f64)> {
     let sessions = file.sessions()?;
     let session = match (session, sessions.as_slice()) {
         (Some(session), known) if known.iter().any(|known| known.id == session) => session,
@@ -282,10 +285,11 @@ fn path_asked(file: &MapFile, session: Option<u32>) -> Result<Vec<PathFrame>> {
     };
     let path = file.path_of(session)?;
     if !path.is_empty() {
-        return Ok(path);
+        let length_m = over_ground_m(connected_stretches(&path));
+        return Ok((path, length_m));
     }
     let keyframes = file.map()?.keyframes;
-    Ok(keyframes
+    let path: Vec<PathFrame> = keyframes
         .iter()
         .filter(|keyframe| keyframe.session == session)
         .map(|keyframe| PathFrame {
@@ -294,5 +298,7 @@ fn path_asked(file: &MapFile, session: Option<u32>) -> Result<Vec<PathFrame>> {
             time_s: keyframe.time_s,
             pose: keyframe.pose,
         })
-        .collect())
+        .collect();
+    let length_m = over_ground_m(path.chunk_by(|a, b| a.segment == b.segment));
+    Ok((path, length_m))
 }

@@ -16,8 +16,8 @@ pub enum TrajectoryForm {
     Csv,
 }
 
-/// Writes the frames and reports what was written.
-pub fn write(frames: &[PathFrame], path: &Path, form: TrajectoryForm) -> Result<String> {
+/// Writes the frames, a path of this length, and reports what was written.
+pub fn write((frames, length_m): (&[PathFrame], f64), path: &Path, form: TrajectoryForm) -> Result<String> {
     if frames.is_empty() {
         return Err(Error::input("the session has no frame that was tracked; there is no path to write"));
     }
@@ -32,14 +32,7 @@ pub fn write(frames: &[PathFrame], path: &Path, form: TrajectoryForm) -> Result<
         TrajectoryForm::Csv => csv(frames),
     };
     files::write(path, text.as_bytes())?;
-    Ok(format!("{} poses, {:.2} m", frames.len(), over_ground_m(frames)))
-}
-
-/// Length over the ground without gaps, metres: what `odograph run` calls its distance.
-fn over_ground_m(frames: &[PathFrame]) -> f64 {
-    let steps = frames.windows(2).filter(|two| two[0].segment == two[1].segment);
-    // A fold: the sum of no numbers is −0.
-    steps.map(|two| two[0].pose.distance_m(&two[1].pose)).fold(0.0, |a, b| a + b)
+    Ok(format!("{} poses, {length_m:.2} m", frames.len()))
 }
 
 /// One line per frame, with the names and units of a run's trajectory.csv.
@@ -58,24 +51,4 @@ fn csv(frames: &[PathFrame]) -> String {
         );
     }
     text
-}
-
-#[cfg(test)]
-mod tests {
-    use super::*;
-    use odograph::geometry::GroundPose;
-
-    #[test]
-    fn the_length_is_that_of_a_run() {
-        let at = |frame: u64, segment: usize, x_m: f64, height_m: f64| PathFrame {
-            frame,
-            segment,
-            time_s: frame as f64,
-            pose: GroundPose { x_m, ..GroundPose::level(height_m) },
-        };
-        // A metre, up and down; a gap of ten; half a metre.
-        let frames = [at(0, 0, 0.0, 1.0), at(1, 0, 1.0, 2.0), at(2, 1, 11.0, 1.0), at(3, 1, 11.5, 1.0)];
-        assert_eq!(over_ground_m(&frames), 1.5);
-        assert_eq!(over_ground_m(&frames[..1]).to_string(), "0");
-    }
 }
