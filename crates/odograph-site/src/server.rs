@@ -55,9 +55,9 @@ struct SiteServerState {
 
 impl SiteServer {
     /// Serves a site at an address; port 0 selects any free port. A request needs the token of a
-    /// robot, as a bearer token, for the records of that robot, and otherwise the token of the site,
-    /// as a bearer token, in the query or in the cookie that this sets. Without a token of the site
-    /// only this machine is served.
+    /// robot, as a bearer token, for the records of that robot, and otherwise the token of the
+    /// site, as a bearer token, in the query or in the cookie that this sets. Without a token of
+    /// the site only this machine is served.
     ///
     /// # Errors
     /// If the address is not available, or can be reached by others and there is no token.

@@ -3,9 +3,9 @@
 //! `cargo run --release -p odograph --example map_memory -- [keyframes …]`
 //!
 //! The keyframes are 400 images of rendered asphalt and copies of them whose descriptors are XORed
-//! with a constant, as in the example `places`. Memory is the resident memory of the process (Linux)
-//! that a [`FleetMapper`] with the map adds. Queries show the ground of a keyframe, from elsewhere.
-//! The last figure names all their hypotheses, to the last bit.
+//! with a constant, as in the example `places`. Memory is the resident memory of the process that a
+//! [`FleetMapper`] with the map adds (Linux). Queries show the ground of a keyframe from elsewhere.
+//! The last figure is a hash of all their hypotheses, to the last bit.
 
 #![allow(clippy::print_stdout)] // prints a table
 

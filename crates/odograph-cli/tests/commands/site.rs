@@ -190,7 +190,7 @@ fn a_robot_sends_with_its_own_token_until_that_is_revoked() {
     let sent = done(folder, &format!("{run} --site-token two.token -o sent"));
     let mut shown = String::from_utf8(sent.stderr).unwrap();
     assert!(shown.contains("the site took "), "{shown}");
-    // Without its token, and with it after it was revoked, the run goes on and the site has nothing.
+    // Without its token, and with it after it was revoked, the run ends well and nothing is sent.
     let refused = done(folder, &format!("{run} -o refused"));
     let refused = String::from_utf8(refused.stderr).unwrap();
     assert!(refused.contains("robot two has a token of its own"), "{refused}");

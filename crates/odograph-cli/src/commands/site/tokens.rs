@@ -9,8 +9,8 @@ use std::path::PathBuf;
 
 /// Make, list and revoke tokens of robots.
 ///
-/// A robot with a token of its own is the only one that can send as that robot. A running site heeds
-/// every change at once.
+/// A robot with a token of its own is the only one that can send as that robot. A running site
+/// heeds every change at once.
 #[derive(Debug, clap::Args)]
 pub struct TokenArguments {
     #[command(subcommand)]
