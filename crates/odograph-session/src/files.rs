@@ -80,6 +80,19 @@ pub fn write(path: &Path, bytes: &[u8]) -> Result<()> {
     })
 }
 
+/// Writes a whole new file that only its owner can read and write. A failure leaves no file.
+pub fn write_private(path: &Path, bytes: &[u8]) -> Result<()> {
+    let mut options = fs::OpenOptions::new();
+    options.write(true).create_new(true);
+    #[cfg(unix)]
+    std::os::unix::fs::OpenOptionsExt::mode(&mut options, 0o600);
+    let mut file = options.open(path).map_err(|error| cannot_be_written(path, error))?;
+    file.write_all(bytes).and_then(|()| file.sync_data()).map_err(|error| {
+        let _ = fs::remove_file(path);
+        cannot_be_written(path, error)
+    })
+}
+
 /// The error of a file that cannot be written.
 pub(crate) fn cannot_be_written(path: &Path, error: io::Error) -> Error {
     Error::not_written(path.display(), error)

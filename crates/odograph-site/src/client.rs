@@ -1,13 +1,16 @@
 //! Requests to a site.
 
+use crate::encryption::TrustedAuthorities;
 use crate::protocol::{SessionDescription, SiteStatus};
 use odograph::error::{Error, Result};
 use odograph_live::server::deadline::Deadlined;
 use odograph_map::SessionOrigin;
 use serde_json::Value;
 use std::fmt;
+use std::fs::File;
 use std::io::{self, Read, Write};
 use std::net::{Shutdown, TcpStream, ToSocketAddrs};
+use std::path::Path;
 use std::sync::{Arc, Mutex, PoisonError};
 use std::time::{Duration, Instant};
 
@@ -20,6 +23,8 @@ const EXCHANGE_PATIENCE: Duration = Duration::from_secs(60);
 const SILENCE_PATIENCE: Duration = Duration::from_secs(10);
 /// Bytes of a body sent at a time, within that pause each: 6 kB/s are enough.
 const PIECE: usize = 64 << 10;
+/// Longest file with a token, bytes.
+const MAX_TOKEN_FILE: u64 = 4096;
 /// Longest answer, bytes.
 const MAX_ANSWER: usize = 64 << 20;
 
@@ -28,48 +33,50 @@ const MAX_ANSWER: usize = 64 << 20;
 pub struct SiteAddress {
     /// Host and port, as in the `Host` header.
     host: String,
+    is_encrypted: bool,
     token: Option<String>,
 }
 
 impl fmt::Debug for SiteAddress {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         // The token is not for others to read.
-        f.debug_struct("SiteAddress").field("host", &self.host).finish_non_exhaustive()
+        f.debug_struct("SiteAddress")
+            .field("host", &self.host)
+            .field("is_encrypted", &self.is_encrypted)
+            .finish_non_exhaustive()
     }
 }
 
 impl fmt::Display for SiteAddress {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
-        write!(f, "http://{}/", self.host)
+        write!(f, "{}://{}/", if self.is_encrypted { "https" } else { "http" }, self.host)
     }
 }
 
 impl std::str::FromStr for SiteAddress {
     type Err = Error;
 
-    /// Reads `http://HOST:PORT/?token=TOKEN`, as a site prints it; port and token may be left out.
+    /// Reads `http://HOST:PORT/?token=TOKEN` or `https://HOST:PORT/?token=TOKEN`, as a site prints
+    /// it; port and token may be left out.
     fn from_str(text: &str) -> Result<Self> {
         let wrong = |what: &str| {
             Error::usage(format!(
-                "the address of a site is http://HOST:{}/?token=TOKEN; {what}",
+                "the address of a site is http://HOST:{0}/?token=TOKEN or https://HOST:{0}/?token=TOKEN; {what}",
                 super::DEFAULT_PORT
             ))
         };
-        if text.starts_with("https://") {
-            return Err(wrong("encrypted connections are not made here: use a tunnel or a private network"));
-        }
-        let rest = text.strip_prefix("http://").ok_or_else(|| wrong("it begins with http://"))?;
+        let (is_encrypted, rest) = match (text.strip_prefix("http://"), text.strip_prefix("https://")) {
+            (Some(rest), _) => (false, rest),
+            (_, Some(rest)) => (true, rest),
+            _ => return Err(wrong("it begins with http:// or https://")),
+        };
         let (host, path) = rest.split_once('/').unwrap_or((rest, ""));
         let plain = |byte: u8| byte.is_ascii_alphanumeric() || b"-.:[]".contains(&byte);
         if host.is_empty() || !host.bytes().all(plain) {
             return Err(wrong("the host is a name or a number of a machine"));
         }
         let token = match path.strip_prefix("?token=") {
-            Some(token)
-                if !token.is_empty() && token.bytes().all(|b| b.is_ascii_alphanumeric() || b == b'-') =>
-            {
-                Some(token.to_owned())
-            }
+            Some(token) if is_token(token) => Some(token.to_owned()),
             None if path.is_empty() => None,
             _ => return Err(wrong("nothing but a token of letters, digits and hyphens follows the host")),
         };
@@ -80,15 +87,55 @@ impl std::str::FromStr for SiteAddress {
             return Err(wrong("its port is a number from 1 to 65535"));
         }
         let host = if has_port { host.to_owned() } else { format!("{host}:{}", super::DEFAULT_PORT) };
-        Ok(Self { host, token })
+        Ok(Self { host, is_encrypted, token })
     }
 }
 
 impl SiteAddress {
-    /// The address with its token, for whoever gave it.
-    pub fn url(&self) -> String {
-        self.token.as_ref().map_or_else(|| self.to_string(), |token| format!("{self}?token={token}"))
+    /// The same site with the token that is in a file, alone, on its first line.
+    ///
+    /// # Errors
+    /// If the file cannot be read, or contains no token.
+    pub fn with_token_of(self, file: &Path) -> Result<Self> {
+        let mut text = String::new();
+        let shown = file.display();
+        if self.token.is_some() {
+            return Err(Error::usage(format!(
+                "the address of the site has a token, and {shown} another; leave the one in the address away"
+            )));
+        }
+        File::open(file)
+            .and_then(|file| file.take(MAX_TOKEN_FILE).read_to_string(&mut text))
+            .map_err(|error| Error::input(format!("the token in {shown} cannot be read: {error}")))?;
+        let token = text.trim_end();
+        if !is_token(token) {
+            return Err(Error::input(format!(
+                "{shown} has no token; one is a line of letters, digits and hyphens, as odograph site token add \
+                 writes it"
+            )));
+        }
+        Ok(Self { token: Some(token.to_owned()), ..self })
     }
+
+    /// Whether the connection is encrypted.
+    pub fn is_encrypted(&self) -> bool {
+        self.is_encrypted
+    }
+
+    /// The host without its port and without the brackets of an IPv6 address.
+    fn host_name(&self) -> &str {
+        let host = self.host.rsplit_once(':').map_or(self.host.as_str(), |(host, _)| host);
+        host.trim_start_matches('[').trim_end_matches(']')
+    }
+
+    /// Whether it has a token.
+    pub fn has_token(&self) -> bool {
+        self.token.is_some()
+    }
+}
+
+fn is_token(text: &str) -> bool {
+    !text.is_empty() && text.bytes().all(|byte| byte.is_ascii_alphanumeric() || byte == b'-')
 }
 
 /// Why a request has no answer.
@@ -96,6 +143,8 @@ impl SiteAddress {
 pub enum NoAnswer {
     /// The site cannot be reached or is not able to answer now: the request may be repeated.
     Unreachable(String),
+    /// The site answers that it takes nothing now: the request may be repeated.
+    NotNow(String),
     /// The site has other records of the session than the client assumed.
     OutOfOrder,
     /// The site refuses.
@@ -106,15 +155,23 @@ pub enum NoAnswer {
 #[derive(Debug, Clone)]
 pub struct SiteClient {
     address: SiteAddress,
+    authorities: Option<TrustedAuthorities>,
     silence: Duration,
     /// The connection of the request that is under way.
     under_way: Arc<Mutex<Option<TcpStream>>>,
 }
 
 impl SiteClient {
-    /// A client; nothing is connected yet.
+    /// A client; nothing is connected yet. For an encrypted address it needs
+    /// [`SiteClient::trusting`].
     pub fn new(address: SiteAddress) -> Self {
-        Self { address, silence: SILENCE_PATIENCE, under_way: Arc::default() }
+        Self { address, authorities: None, silence: SILENCE_PATIENCE, under_way: Arc::default() }
+    }
+
+    /// The same, which accepts certificates of these authorities.
+    #[must_use]
+    pub fn trusting(self, authorities: TrustedAuthorities) -> Self {
+        Self { authorities: Some(authorities), ..self }
     }
 
     /// Ends the request that is under way in another thread, which then has no answer.
@@ -192,6 +249,9 @@ impl SiteClient {
                 "the site at {} cannot be reached: {why}; check the address, and that odograph site serve runs there",
                 self.address
             )),
+            NoAnswer::NotNow(why) => {
+                Error::input(format!("the site at {} takes nothing at the moment: {why}", self.address))
+            }
             NoAnswer::OutOfOrder => Error::input(format!("the site at {} misses records", self.address)),
             NoAnswer::Refused(why) => Error::input(format!("the site at {} refuses: {why}", self.address)),
         }
@@ -207,8 +267,7 @@ impl SiteClient {
         let problem = value["problem"].as_str().map_or_else(|| format!("status {status}"), str::to_owned);
         Err(match status {
             409 if value.get("acknowledged").is_some() => NoAnswer::OutOfOrder,
-            403 => NoAnswer::Refused("the token is missing or wrong".to_owned()),
-            408 | 500.. => NoAnswer::Unreachable(problem),
+            408 | 429 | 500.. => NoAnswer::NotNow(problem),
             _ => NoAnswer::Refused(problem),
         })
     }
@@ -248,6 +307,14 @@ impl SiteClient {
         let begun = Instant::now();
         let allowed = || self.silence.min(EXCHANGE_PATIENCE.saturating_sub(begun.elapsed()));
         let mut stream = Deadlined::new(stream, allowed());
+        if self.address.is_encrypted {
+            let Some(authorities) = &self.authorities else {
+                return Err(io::Error::other(
+                    "no authority is trusted, so that its certificate cannot be checked",
+                ));
+            };
+            stream = stream.encrypted(authorities.connected(self.address.host_name())?);
+        }
         let mut head =
             format!("{method} {path} HTTP/1.1\r\nHost: {}\r\nConnection: close\r\n", self.address.host);
         if let Some(token) = &self.address.token {
@@ -284,6 +351,10 @@ impl SiteClient {
         let mut answer = httparse::Response::new(&mut space);
         let length = match answer.parse(&bytes) {
             Ok(httparse::Status::Complete(length)) => length,
+            // An alert of TLS.
+            _ if bytes.first() == Some(&21) => {
+                return Err(io::Error::other("it answers in TLS; perhaps its address begins with https://"));
+            }
             _ => return Err(io::Error::other("the answer is not HTTP, or is cut off")),
         };
         let stated = answer.headers.iter().find(|header| header.name.eq_ignore_ascii_case("content-length"));
@@ -335,9 +406,12 @@ mod tests {
         assert_eq!(read("http://hall/?token=ab-12").unwrap(), ("hall:8137".to_owned(), token()));
         assert_eq!(read("http://[::1]:80").unwrap(), ("[::1]:80".to_owned(), None));
         assert_eq!(read("http://[::1]").unwrap(), ("[::1]:8137".to_owned(), None));
+        let encrypted: SiteAddress = "https://[::1]:80/?token=ab-12".parse().unwrap();
+        assert!(encrypted.is_encrypted() && encrypted.host_name() == "::1");
+        assert_eq!(encrypted.to_string(), "https://[::1]:80/");
         for text in [
             "hall:8137",
-            "https://hall/",
+            "ftp://hall/",
             "http:///",
             "http://a b/",
             "http://hall/x",
@@ -350,6 +424,23 @@ mod tests {
         }
         let address: SiteAddress = "http://hall/?token=secret-1".parse().unwrap();
         assert!(!format!("{address:?} {address}").contains("secret"));
-        assert_eq!(address.url(), "http://hall:8137/?token=secret-1");
+        assert!(address.has_token() && address.to_string() == "http://hall:8137/");
+    }
+
+    #[test]
+    fn a_token_is_read_from_a_file() {
+        let folder = tempfile::tempdir().unwrap();
+        let file = folder.path().join("token");
+        let site = |address: &str| address.parse::<SiteAddress>().unwrap().with_token_of(&file);
+        assert!(site("http://hall/").unwrap_err().to_string().contains("cannot be read"));
+        std::fs::write(&file, "ab-12\n").unwrap();
+        assert_eq!(site("http://hall/").unwrap().token.as_deref(), Some("ab-12"));
+        let two = site("http://hall/?token=other").unwrap_err().to_string();
+        assert!(two.contains(" another; ") && !two.contains("ab-12"), "{two}");
+        for text in ["", "\n", "ab 12", "ab\ncd", "ab\u{e9}"] {
+            std::fs::write(&file, text).unwrap();
+            let complaint = site("http://hall/").unwrap_err().to_string();
+            assert!(complaint.contains("has no token"), "{text:?}: {complaint}");
+        }
     }
 }

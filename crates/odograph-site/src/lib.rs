@@ -17,15 +17,23 @@ mod fleet_map;
 mod published;
 mod merging;
 mod site;
+mod limits;
+mod refusals;
+mod tokens;
+mod access;
+#[cfg_attr(not(feature = "tls"), path = "no_encryption.rs")]
+mod encryption;
 mod server;
 mod client;
 mod link;
 
 pub use client::{SiteAddress, SiteClient};
+pub use encryption::{SiteIdentity, TrustedAuthorities};
 pub use link::{LinkReport, SiteLink};
 pub use protocol::SiteStatus;
 pub use server::{DEFAULT_PORT, SiteServer};
 pub use site::Site;
+pub use tokens::{RobotTokens, TokenOfRobot};
 
 /// Reads the body of a request as a description of a session and as records, for the fuzz target.
 #[cfg(fuzzing)]

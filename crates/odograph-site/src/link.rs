@@ -382,7 +382,7 @@ impl Sending {
     fn stopped(&self, why: &NoAnswer) -> Stopped {
         let problem = self.client.error(why).to_string();
         match why {
-            NoAnswer::Unreachable(_) | NoAnswer::OutOfOrder => Stopped::ForNow(problem),
+            NoAnswer::Unreachable(_) | NoAnswer::NotNow(_) | NoAnswer::OutOfOrder => Stopped::ForNow(problem),
             NoAnswer::Refused(_) => Stopped::ForGood(problem),
         }
     }

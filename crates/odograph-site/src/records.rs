@@ -17,6 +17,10 @@ const TABLES: &str = "\
     CREATE TABLE IF NOT EXISTS site (id INTEGER PRIMARY KEY CHECK (id = 1), version INTEGER NOT NULL);
     INSERT OR IGNORE INTO site VALUES (1, 0);";
 
+/// Sessions of a robot without a record that are kept. A run makes one; of more, as of a robot that
+/// floods the site with descriptions, the oldest are forgotten.
+const MAX_EMPTY_SESSIONS: u32 = 64;
+
 /// Why records are not stored.
 #[derive(Debug)]
 pub enum NotStored {
@@ -72,11 +76,16 @@ impl RecordStore {
         let text = serde_json::to_string(description)
             .map_err(|error| Error::input(format!("a session cannot be written: {error}")))?;
         let SessionDescription { robot, key, .. } = description;
+        let forgotten = "DELETE FROM session WHERE id IN (SELECT id FROM session AS s WHERE robot = ?1 AND NOT EXISTS \
+            (SELECT 1 FROM record WHERE session = s.id) ORDER BY id DESC LIMIT -1 OFFSET ?2)";
         self.connection
-            .execute(
-                "INSERT OR IGNORE INTO session (robot, key, description) VALUES (?1, ?2, ?3)",
-                [robot, key, &text],
-            )
+            .execute(forgotten, params![robot, MAX_EMPTY_SESSIONS])
+            .and_then(|_| {
+                self.connection.execute(
+                    "INSERT OR IGNORE INTO session (robot, key, description) VALUES (?1, ?2, ?3)",
+                    [robot, key, &text],
+                )
+            })
             .and_then(|_| {
                 self.connection.execute("INSERT OR IGNORE INTO robot VALUES (?1, 'active', NULL)", [robot])
             })

@@ -20,7 +20,7 @@ use std::path::{Path, PathBuf};
 use std::process::{Child, Command, Output, Stdio};
 
 /// Commands that are not run: how they begin, or a word in them, and why.
-const NOT_RUN: [(&str, &str); 23] = [
+const NOT_RUN: [(&str, &str); 24] = [
     ("cargo ", "builds from source; the tests, the gate and the harness of kills are run by CI"),
     ("bash .ci/run", "is CI itself"),
     ("crates/odograph-ros2/tests/run ", "needs Cyclone DDS; .ci/run does it where asked"),
@@ -39,6 +39,7 @@ const NOT_RUN: [(&str, &str); 23] = [
     ("drive.bag", "needs the recording of a robot with ROS 1"),
     ("board.mcap", "needs a robot's recording of a board"),
     ("charuco:12x9:40mm", "its pictures have the name of those of another board"),
+    ("--tls-key", "needs a certificate, and a program that is built with TLS"),
     ("--gnss-start", "needs the log of a receiver"),
     ("DJI_0001.SRT", "needs the recording of a drone"),
     ("--gnss stills/", "needs the pictures of a drone"),

@@ -163,3 +163,104 @@ fn two_runs_share_the_map_of_a_site_that_was_killed() {
         assert_eq!(odograph(folder, wrong).output().unwrap().status.code(), Some(2), "{wrong}");
     }
 }
+
+#[test]
+fn a_robot_sends_with_its_own_token_until_that_is_revoked() {
+    let folder = tempfile::tempdir().unwrap();
+    let folder = folder.path();
+    let serving = Serving::new(folder, "127.0.0.1:0");
+    let url = serving.url.clone();
+    let printed = done(folder, "site token add hall one").stdout;
+    let printed = String::from_utf8(printed).unwrap();
+    assert!(
+        printed.len() == 65 && printed.trim_end().bytes().all(|byte| byte.is_ascii_hexdigit()),
+        "{printed}"
+    );
+    let noted = done(folder, "site token add hall two -o two.token");
+    assert!(noted.stdout.is_empty());
+    let token = std::fs::read_to_string(folder.join("two.token")).unwrap();
+    #[cfg(unix)]
+    for file in ["two.token", "hall/tokens.json"] {
+        use std::os::unix::fs::PermissionsExt;
+        let mode = std::fs::metadata(folder.join(file)).unwrap().permissions().mode();
+        assert_eq!(mode & 0o777, 0o600, "{file}");
+    }
+    let camera = format!("--camera {DEMO}/camera.yaml --rig {DEMO}/rig.toml --max-frames 60");
+    let run = format!("run {} {camera} --site {url} --robot two", drive().display());
+    let sent = done(folder, &format!("{run} --site-token two.token -o sent"));
+    let mut shown = String::from_utf8(sent.stderr).unwrap();
+    assert!(shown.contains("the site took "), "{shown}");
+    // Without its token, and with it after it was revoked, the run ends well and nothing is sent.
+    let refused = done(folder, &format!("{run} -o refused"));
+    let refused = String::from_utf8(refused.stderr).unwrap();
+    assert!(refused.contains("robot two has a token of its own"), "{refused}");
+    let list = |arguments: &str| String::from_utf8(done(folder, arguments).stdout).unwrap();
+    assert_eq!(list("site token list hall"), "one              valid\ntwo              valid\n");
+    assert!(list("site token revoke hall two").starts_with("the token of two is revoked; "));
+    let revoked =
+        odograph(folder, &format!("site send sent/map.gpkg --site {url} --robot two --site-token two.token"));
+    let revoked = { revoked }.output().unwrap();
+    let told = String::from_utf8(revoked.stderr).unwrap();
+    assert_eq!(revoked.status.code(), Some(3), "{told}");
+    assert!(told.contains("refuses: the token of robot two is revoked"), "{told}");
+    let json: Value = serde_json::from_str(&list("site token list hall --json")).unwrap();
+    assert_eq!(json["robots"][1], serde_json::json!({ "robot": "two", "revoked": true }));
+    let robots = list(&format!("site robots --site {url}"));
+    assert!(robots.contains("refused ") && robots.contains("the token of robot two is revoked"), "{robots}");
+    shown += &format!("{refused}{told}{robots}{}", String::from_utf8_lossy(&noted.stderr));
+    assert!(!shown.contains(token.trim_end()) && !shown.contains(printed.trim_end()), "{shown}");
+    // What is wrong with an address is said without the token in it.
+    let wrong = odograph(folder, "site robots --site http://h:0/?token=secret-1").output().unwrap();
+    let told = String::from_utf8(wrong.stderr).unwrap();
+    assert!(wrong.status.code() == Some(2) && !told.contains("secret-1"), "{told}");
+}
+
+#[test]
+fn a_map_that_is_not_sent_is_sent_by_a_command_without_the_token() {
+    let folder = tempfile::tempdir().unwrap();
+    let folder = folder.path();
+    let camera = format!("--camera {DEMO}/camera.yaml --rig {DEMO}/rig.toml --max-frames 60");
+    let run = format!("run {} {camera} --robot one", drive().display());
+    std::fs::write(folder.join("a.token"), "secret-1\n").unwrap();
+    for (site, advice) in [
+        ("http://127.0.0.1:1/?token=secret-1", "--site http://127.0.0.1:1/ --site-token FILE --robot one"),
+        (
+            "http://127.0.0.1:1/ --site-token a.token",
+            "--site http://127.0.0.1:1/ --site-token a.token --robot one",
+        ),
+    ] {
+        let told = done(folder, &format!("{run} --site {site} -o out --force"));
+        let told = String::from_utf8(told.stderr).unwrap();
+        assert!(told.contains(advice) && !told.contains("secret-1"), "{told}");
+    }
+}
+
+#[cfg(not(feature = "tls"))]
+#[test]
+fn a_program_without_tls_says_how_to_have_it() {
+    let folder = tempfile::tempdir().unwrap();
+    let folder = folder.path();
+    for command in
+        ["site serve hall --tls-certificate a.pem --tls-key a.key", "site robots --site https://hall/"]
+    {
+        let output = odograph(folder, command).output().unwrap();
+        let told = String::from_utf8(output.stderr).unwrap();
+        assert!(output.status.code() == Some(2) && told.contains("--features tls"), "{told}");
+        assert!(!folder.join("hall").exists());
+    }
+}
+
+#[cfg(unix)]
+#[test]
+fn an_address_that_others_reach_without_encryption_is_warned_of() {
+    let folder = tempfile::tempdir().unwrap();
+    let mut child = odograph(folder.path(), "site serve hall --listen 0.0.0.0:0 --token 5f1c-hall")
+        .stderr(Stdio::piped())
+        .spawn()
+        .unwrap();
+    let mut lines = BufReader::new(child.stderr.take().unwrap()).lines().map_while(Result::ok);
+    let told = lines.next().unwrap();
+    let _ = child.kill();
+    child.wait().unwrap();
+    assert!(told.starts_with("warning: nothing is encrypted: "), "{told}");
+}

@@ -11,7 +11,15 @@ const COOKIE: &str = "odograph";
 /// # Errors
 /// If the system's random number generator is not available.
 pub fn new_token() -> Result<String> {
-    let mut bytes = [0; 16];
+    random_token::<16>()
+}
+
+/// Generates a random token of `BYTES` bytes from the operating system, as hexadecimal digits.
+///
+/// # Errors
+/// If the system's random number generator is not available.
+pub fn random_token<const BYTES: usize>() -> Result<String> {
+    let mut bytes = [0; BYTES];
     getrandom::fill(&mut bytes)
         .map_err(|error| Error::output(format!("the system gives no random token: {error}")))?;
     Ok(bytes.iter().map(|byte| format!("{byte:02x}")).collect())
@@ -59,11 +67,10 @@ impl Access {
                 AccessVerdict::Denied
             };
         };
-        let bearer = request.header("authorization").and_then(|value| value.strip_prefix("Bearer "));
         let known = |given: Option<&str>| given.is_some_and(|given| same(given.as_bytes(), token.as_bytes()));
         if !same_origin(request) {
             AccessVerdict::Denied
-        } else if known(request.cookie(COOKIE)) || known(bearer) {
+        } else if known(request.cookie(COOKIE)) || known(request.bearer()) {
             AccessVerdict::Allowed
         } else if known(request.query_value("token")) {
             AccessVerdict::AllowedWithCookie
@@ -74,7 +81,7 @@ impl Access {
 }
 
 /// Whether a request has the origin of this server, or no `Origin` header.
-fn same_origin(request: &Request) -> bool {
+pub fn same_origin(request: &Request) -> bool {
     match request.header("origin") {
         None => true,
         Some(origin) => {
@@ -94,7 +101,7 @@ fn is_loopback_name(host: &str) -> bool {
 }
 
 /// Compares in constant time, so that the response time reveals nothing about the token.
-fn same(given: &[u8], token: &[u8]) -> bool {
+pub fn same(given: &[u8], token: &[u8]) -> bool {
     given.len() == token.len()
         && given.iter().zip(token).fold(0, |different, (a, b)| different | (a ^ b)) == 0
 }

@@ -1,6 +1,6 @@
 //! HTTP/1.1 requests and responses (RFC 9112), reduced to what the page needs.
 
-use super::deadline::Deadlined;
+use super::deadline::{Deadlined, Encryption};
 use std::io::{self, Read, Write};
 use std::net::TcpStream;
 use std::time::Duration;
@@ -55,6 +55,11 @@ impl Request {
         self.headers.iter().find(|(known, _)| known == name).map(|(_, value)| value.as_str())
     }
 
+    /// The bearer token.
+    pub fn bearer(&self) -> Option<&str> {
+        self.header("authorization").and_then(|value| value.strip_prefix("Bearer "))
+    }
+
     /// The value of a query parameter.
     pub fn query_value(&self, key: &str) -> Option<&str> {
         self.query.split('&').filter_map(|pair| pair.split_once('=')).find(|(k, _)| *k == key).map(|(_, v)| v)
@@ -78,6 +83,12 @@ impl RequestReader {
     /// A reader of a new connection.
     pub fn new(stream: TcpStream) -> Self {
         Self { stream: Deadlined::new(stream, REQUEST_PATIENCE), buffer: Vec::new() }
+    }
+
+    /// A reader of a new connection that is encrypted.
+    pub fn encrypted(stream: TcpStream, encryption: Box<dyn Encryption>) -> Self {
+        let stream = Deadlined::new(stream, REQUEST_PATIENCE).encrypted(encryption);
+        Self { stream, buffer: Vec::new() }
     }
 
     /// The connection, for writing a response.
@@ -136,8 +147,10 @@ impl RequestReader {
                 return Err(HttpRefusal(408, "Request Timeout"));
             }
         }
-        request.body = self.buffer[head_length..head_length + body_length].to_vec();
-        self.buffer.drain(..head_length + body_length);
+        // What follows is the next request: the memory of a large body goes with it.
+        let rest = self.buffer.split_off(head_length + body_length);
+        request.body = std::mem::replace(&mut self.buffer, rest);
+        request.body.drain(..head_length);
         Ok(Some(request))
     }
 
@@ -289,8 +302,15 @@ impl Answer {
 ///
 /// # Errors
 /// If the client does not take the response.
-pub fn refuse(mut stream: Deadlined, refusal: HttpRefusal) -> io::Result<()> {
-    let answer = Answer::refusal(refusal);
+pub fn refuse(stream: Deadlined, refusal: HttpRefusal) -> io::Result<()> {
+    refuse_with(stream, &Answer::refusal(refusal))
+}
+
+/// Responds to a request whose body is not read, and ends the connection.
+///
+/// # Errors
+/// If the client does not take the response.
+pub fn refuse_with(mut stream: Deadlined, answer: &Answer) -> io::Result<()> {
     stream.allow(Duration::from_secs(2));
     let mut bytes = answer.head(answer.body.len() as u64, false).into_bytes();
     bytes.extend_from_slice(&answer.body);

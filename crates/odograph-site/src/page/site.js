@@ -146,6 +146,26 @@ function list() {
     `${count} robot${count === 1 ? "" : "s"}, ${state.loops.length} loop${state.loops.length === 1 ? "" : "s"} between them, version ${state.version} of the map`;
 }
 
+function ago(seconds) {
+  const [size, unit] = [[3600, "h"], [60, "min"], [1, "s"]].find(([size]) => seconds >= size) || [1, "s"];
+  return `${Math.floor(seconds / size)} ${unit} ago`;
+}
+
+// Requests that the site has refused: what they were sent with is not shown.
+function listRefusals() {
+  const items = state.refusals.map((refusal) => {
+    const item = document.createElement("li");
+    const times = refusal.count === 1 ? "once" : `${refusal.count} times`;
+    const details = document.createElement("div");
+    details.className = "reason";
+    details.textContent = `${times} from ${refusal.address}, last ${ago(refusal.ago_s)}`;
+    item.append(refusal.reason, details);
+    return item;
+  });
+  document.getElementById("refusals").replaceChildren(...items);
+  document.getElementById("refused").hidden = items.length === 0;
+}
+
 function problem(text) {
   const place = document.getElementById("problem");
   place.hidden = !text;
@@ -167,6 +187,7 @@ async function look() {
     if (!answer.ok) throw new Error(answer.statusText);
     state = await answer.json();
     list();
+    listRefusals();
     problem(state.failure && "The site does not merge at the moment: " + state.failure);
     if (state.mosaic !== mosaicShown) await loadMosaic(state.mosaic);
   } catch (error) {

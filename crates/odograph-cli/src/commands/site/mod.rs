@@ -1,14 +1,16 @@
 //! `odograph site`: one map for a fleet, and the link of a robot to it.
 
+mod reached;
+mod tokens;
+
 use crate::{Outcome, address, console, files, interrupt};
 use odograph::error::{Error, Result};
 use odograph::formats::decimal::Rounded;
 use odograph_live::server::listener::not_served;
 use odograph_live::server::new_token;
 use odograph_map::{MapFile, Session};
-use odograph_site::{
-    DEFAULT_PORT, LinkReport, Site, SiteAddress, SiteClient, SiteLink, SiteServer, SiteStatus,
-};
+use odograph_site::{DEFAULT_PORT, LinkReport, Site, SiteIdentity, SiteLink, SiteServer, SiteStatus};
+use reached::{GivenSite, ReachedSite, SiteCredentials};
 use serde_json::{Value, json};
 use std::net::{IpAddr, Ipv4Addr, SocketAddr, TcpListener};
 use std::path::{Path, PathBuf};
@@ -30,6 +32,7 @@ enum SiteCommand {
     Robots(RobotsArguments),
     Withdraw(RobotArguments),
     Restore(RestoreArguments),
+    Token(tokens::TokenArguments),
 }
 
 /// Serve the map of a fleet.
@@ -39,7 +42,8 @@ enum SiteCommand {
 #[derive(Debug, clap::Args)]
 #[command(after_help = SERVE_EXAMPLES)]
 struct ServeSiteArguments {
-    /// The folder of the site: records.sqlite and map.gpkg. It is made where it is not there.
+    /// The folder of the site: records.sqlite, map.gpkg and tokens.json. It is made where it is not
+    /// there.
     #[arg(value_name = "FOLDER")]
     folder: PathBuf,
     /// Address to serve at.
@@ -48,12 +52,19 @@ struct ServeSiteArguments {
     #[arg(long, value_name = "ADDRESS", value_parser = address::parse,
           default_value_t = SocketAddr::new(IpAddr::V4(Ipv4Addr::LOCALHOST), DEFAULT_PORT))]
     listen: SocketAddr,
-    /// Token that robots and browsers must give.
+    /// Token of the site, for its page and for robots that have none of their own.
     ///
     /// For addresses that others can reach there always is one; it is made up and printed, if not
-    /// given.
+    /// given. `odograph site token` makes those of robots.
     #[arg(long, value_name = "TOKEN")]
     token: Option<String>,
+    /// Certificate with which the site is served over HTTPS, as PEM; those that it was signed with
+    /// follow in the same file.
+    #[arg(long, value_name = "FILE", requires = "tls_key")]
+    tls_certificate: Option<PathBuf>,
+    /// Private key of that certificate, as PEM without a passphrase.
+    #[arg(long, value_name = "FILE", requires = "tls_certificate")]
+    tls_key: Option<PathBuf>,
     /// Say nothing but errors.
     #[arg(short, long)]
     quiet: bool,
@@ -62,7 +73,8 @@ struct ServeSiteArguments {
 const SERVE_EXAMPLES: &str = "\
 Examples:
   odograph site serve hall/
-  odograph site serve hall/ --listen 0.0.0.0:8137 --token 5f1c-hall-carts";
+  odograph site serve hall/ --listen 0.0.0.0:8137 --token 5f1c-hall-carts
+  odograph site serve hall/ --listen 0.0.0.0:8137 --tls-certificate hall.pem --tls-key hall.key";
 
 /// Send what a map has of a robot and the site has not.
 ///
@@ -72,9 +84,8 @@ struct SendArguments {
     /// The map of the robot.
     #[arg(value_name = "MAP")]
     map: PathBuf,
-    /// Address of the site, as it printed it.
-    #[arg(long, value_name = "URL")]
-    site: SiteAddress,
+    #[command(flatten)]
+    at: ReachedSite,
     /// Name of the robot, as in the run.
     #[arg(long, value_name = "NAME")]
     robot: String,
@@ -86,9 +97,8 @@ struct SendArguments {
 /// List the robots of a site.
 #[derive(Debug, clap::Args)]
 struct RobotsArguments {
-    /// Address of the site, as it printed it.
-    #[arg(long, value_name = "URL")]
-    site: SiteAddress,
+    #[command(flatten)]
+    at: ReachedSite,
     /// Print JSON instead of text.
     #[arg(long)]
     json: bool,
@@ -102,9 +112,8 @@ struct RobotArguments {
     /// Name of the robot.
     #[arg(value_name = "ROBOT")]
     robot: String,
-    /// Address of the site, as it printed it.
-    #[arg(long, value_name = "URL")]
-    site: SiteAddress,
+    #[command(flatten)]
+    at: ReachedSite,
 }
 
 /// Put a robot that was withdrawn or quarantined into the map again.
@@ -125,19 +134,26 @@ pub struct SiteLinkArguments {
     /// Nothing waits for the network: what the site has not, the map keeps. `odograph site send`
     /// sends the rest later.
     #[arg(help_heading = "Site", long, value_name = "URL")]
-    pub site: Option<SiteAddress>,
+    pub site: Option<GivenSite>,
     /// Name of this robot, different from that of every other.
     #[arg(help_heading = "Site", long, value_name = "NAME")]
     pub robot: Option<String>,
+    #[command(flatten)]
+    credentials: SiteCredentials,
 }
 
 /// Time without an acknowledgement after which a run ends without the site.
 const PATIENCE: Duration = Duration::from_secs(20);
 
 impl SiteLinkArguments {
-    /// Fails where a site is given and the robot that sends to it has no name.
+    /// Fails where a site is given and the robot that sends to it has no name, and where the token
+    /// cannot be read.
     pub fn check(&self) -> Result<()> {
         match (&self.site, &self.robot) {
+            (Some(site), Some(_)) => self.credentials.client(site).map(drop),
+            (None, _) if self.credentials.are_any() => {
+                Err(Error::usage("--site-token is of the site to which the map is sent: --site URL"))
+            }
             (Some(_), None) => Err(Error::usage(
                 "--site needs the name of this robot, different from that of every other: --robot NAME",
             )),
@@ -156,7 +172,11 @@ impl SiteLinkArguments {
                 "the run in {folder} was begun without the name of a robot, and a site cannot take its map; begin it \
                  anew with --site, --robot and --force"
             ))),
-            (name, _) => Ok(Self { site, robot: name.map(str::to_owned) }),
+            (name, _) => {
+                let arguments =
+                    Self { site, robot: name.map(str::to_owned), credentials: self.credentials.clone() };
+                arguments.check().map(|()| arguments)
+            }
         }
     }
 
@@ -178,9 +198,9 @@ impl SiteLinkArguments {
                 }
             }
         });
-        let link = SiteLink::start(map, robot, SiteClient::new(site.clone()), listening)?;
-        let (map_shown, url) = (console::quoted(map), console::quoted(Path::new(&site.url())));
-        let command = format!("odograph site send {map_shown} --site {url} --robot {robot}");
+        let link = SiteLink::start(map, robot, self.credentials.client(site)?, listening)?;
+        let (map_shown, reached) = (console::quoted(map), self.credentials.shown(site)?);
+        let command = format!("odograph site send {map_shown} {reached} --robot {robot}");
         Ok(Some(RobotLink { link: Arc::new(link), map: map.to_owned(), command }))
     }
 }
@@ -245,6 +265,7 @@ fn tell(report: &LinkReport) {
 /// Runs the command.
 pub fn site(arguments: SiteArguments) -> Result<Outcome> {
     match arguments.command {
+        SiteCommand::Token(arguments) => tokens::token(arguments),
         SiteCommand::Serve(arguments) => serve(&arguments),
         SiteCommand::Send(arguments) => send(&arguments),
         SiteCommand::Robots(arguments) => robots(&arguments),
@@ -265,7 +286,7 @@ pub fn site(arguments: SiteArguments) -> Result<Outcome> {
 
 /// Decides about a robot, and says what was `done`.
 fn set_robot(arguments: &RobotArguments, action: &str, done: &str) -> Result<Outcome> {
-    SiteClient::new(arguments.site.clone()).set_robot(&arguments.robot, action)?;
+    arguments.at.client()?.set_robot(&arguments.robot, action)?;
     console::print(&format!("{} {done}\n", console::name(&arguments.robot)))?;
     Ok(Outcome::Done)
 }
@@ -279,17 +300,34 @@ fn serve(arguments: &ServeSiteArguments) -> Result<Outcome> {
         None if arguments.listen.ip().is_loopback() => None,
         None => Some(new_token()?),
     };
+    let identity = match (&arguments.tls_certificate, &arguments.tls_key) {
+        (Some(certificate), Some(key)) => Some(SiteIdentity::from_files(certificate, key)?),
+        _ => None,
+    };
     // Nothing is made for an address that cannot be served.
     drop(TcpListener::bind(arguments.listen).map_err(|error| not_served(arguments.listen, &error))?);
     files::check_output_folder(&arguments.folder)?;
     files::make_folder(&arguments.folder)?;
     let site = Arc::new(Site::open(&arguments.folder)?);
-    let server = SiteServer::start(arguments.listen, Arc::clone(&site), token)?;
+    let is_readable = identity.is_none() && !arguments.listen.ip().is_loopback();
+    let server = match identity {
+        Some(identity) => SiteServer::start_encrypted(arguments.listen, Arc::clone(&site), token, identity)?,
+        None => SiteServer::start(arguments.listen, Arc::clone(&site), token)?,
+    };
+    if is_readable && !arguments.quiet {
+        console::warn(
+            "nothing is encrypted: whoever is on the network can read tokens and maps; give --tls-certificate and \
+             --tls-key, or use a tunnel",
+        );
+    }
     if !arguments.quiet {
         console::note(&format!("the site is at {}; Ctrl-C ends it", server.url()));
     }
     let mut reported = None;
     while !interrupt::asked() {
+        for refused in server.new_refusals() {
+            console::warn(&refused);
+        }
         let failure = site.failure();
         if failure != reported {
             match &failure {
@@ -325,7 +363,7 @@ fn send(arguments: &SendArguments) -> Result<Outcome> {
         )));
     }
     drop(file);
-    let client = SiteClient::new(arguments.site.clone());
+    let client = arguments.at.client()?;
     let link = SiteLink::start(&arguments.map, &arguments.robot, client, Box::new(|_| {}))?;
     let report = link.finish(PATIENCE, &|| !interrupt::asked());
     if !report.complete {
@@ -339,7 +377,7 @@ fn send(arguments: &SendArguments) -> Result<Outcome> {
 }
 
 fn robots(arguments: &RobotsArguments) -> Result<Outcome> {
-    let client = SiteClient::new(arguments.site.clone());
+    let client = arguments.at.client()?;
     let state = client.state()?;
     let text = if arguments.json { format!("{state:#}\n") } else { list(&state) };
     console::print(&text)?;
@@ -347,7 +385,7 @@ fn robots(arguments: &RobotsArguments) -> Result<Outcome> {
     client.failure_in(&state).map_or(Ok(Outcome::Done), |failure| Err(Error::input(failure)))
 }
 
-/// A line for each session.
+/// A line for each session, and for each kind of request that was refused.
 fn list(state: &Value) -> String {
     let mut text = String::new();
     for session in state["sessions"].as_array().into_iter().flatten() {
@@ -366,6 +404,14 @@ fn list(state: &Value) -> String {
         text += &format!(
             "{name:<16} {} of {} keyframes in the map, {} loops with others, {condition}\n",
             session["keyframes"], session["records"], session["loops"]
+        );
+    }
+    for refusal in state["refusals"].as_array().into_iter().flatten() {
+        let [from, why] =
+            ["address", "reason"].map(|key| console::name(refusal[key].as_str().unwrap_or_default()));
+        text += &format!(
+            "refused {} times, last {} s ago, from {from}: {why}\n",
+            refusal["count"], refusal["ago_s"]
         );
     }
     text
