@@ -1,6 +1,7 @@
 //! Ground that moves by itself and images parts of which stand still, rendered with exact truth.
 
 use super::*;
+use crate::geometry::pose_index::{X, Y};
 use crate::simulation::Sway;
 
 #[test]
@@ -88,5 +89,32 @@ fn a_cart_that_crosses_most_of_the_view_is_not_followed() {
         }
         let found = odometry.process(shown, frame as f64 * FRAME_S).unwrap();
         assert_right(&found, &truth, 1.0);
+    }
+}
+
+/// An arm comes in from the side within eight frames, rests over the whole view, and goes back.
+#[test]
+fn an_arm_that_comes_to_rest_over_the_view_does_not_stop_the_camera() {
+    let world = World::new("concrete");
+    let mut odometry = world.odometry();
+    let mut random = Random::new(5);
+    let arm: Vec<u8> = (0..640 * 480).map(|_| 60 + random.below(100) as u8).collect();
+    for frame in 0..80_usize {
+        let truth = at(0.02 * frame as f64, 0.0, 0.0);
+        let mut shown = world.image(truth, frame as u64);
+        let covered = 80 * frame.saturating_sub(20).min(8).min(56_usize.saturating_sub(frame));
+        for (row, arm) in shown.samples_mut().chunks_mut(640).zip(arm.chunks(640)) {
+            row[..covered].copy_from_slice(&arm[640 - covered..]);
+        }
+        let found = odometry.process(shown, frame as f64 * FRAME_S).unwrap();
+        let truth = truth.unwrap();
+        let Some(estimate) = &found.estimate else {
+            assert!((26..70).contains(&frame), "frame {frame} is lost: {:?}", found.status);
+            continue;
+        };
+        let off_m = (estimate.pose.x_m - truth.x_m).hypot(estimate.pose.y_m - truth.y_m);
+        let sigma_m = (estimate.covariance[(X, X)] + estimate.covariance[(Y, Y)]).sqrt();
+        assert!(off_m < 4.0 * sigma_m + 1e-3, "frame {frame}: {off_m} m off, {sigma_m} m stated");
+        assert!(!(30..48).contains(&frame), "frame {frame} shows no ground");
     }
 }
