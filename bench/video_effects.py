@@ -176,9 +176,20 @@ def cart(images, random):
     return [over(image, texture, -520 + 4.5 * i, 10, False) for i, image in enumerate(images)]
 
 
+def arm(images, random):
+    """An arm comes in within eight images, rests over the whole view, and goes back."""
+    height, width = images[0].shape
+    texture, out = fine_texture(random)[:height, :width], []
+    for i, image in enumerate(images):
+        at = i % 100
+        share = min(max(0, at - 30) / 8, 1, max(0, 68 - at) / 8)
+        out.append(over(image, texture, round((share - 1) * width), 0, False) if share > 0 else image)
+    return out
+
+
 EFFECTS = [
     gaps, slow, frozen, half_updated, stabilised, shimmer, row_jitter, focus_hunting, zoom_drift, fog, flashes,
-    night, temporal_filter, feet, cart,
+    night, temporal_filter, feet, cart, arm,
 ]  # fmt: skip
 
 

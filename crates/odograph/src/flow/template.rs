@@ -66,11 +66,6 @@ impl Template {
         self.centre
     }
 
-    /// The pixel of which the template was made.
-    pub fn pixel(&self) -> (usize, usize) {
-        (self.centre.x as usize, self.centre.y as usize)
-    }
-
     /// Displacement of a match with this noise by the curvature of the warp, pixels; `curvature`
     /// holds the second derivatives by (x, x), (x, y) and (y, y), pixels per pixel².
     pub fn curvature_bias(

@@ -88,6 +88,12 @@ impl Odometry {
         self.reference
     }
 
+    /// The number of a new keyframe.
+    pub(super) fn next_id(&mut self) -> KeyframeId {
+        self.keyframes += 1;
+        KeyframeId(self.keyframes - 1)
+    }
+
     /// Takes a keyframe into use: gives it its number, and records the event.
     pub(super) fn number(
         &mut self,
@@ -95,8 +101,10 @@ impl Odometry {
         (frame, time_s): (u64, f64),
         before: Option<Before>,
     ) {
-        let id = KeyframeId(self.keyframes);
-        self.keyframes += 1;
+        let id = match keyframe.id {
+            Some(id) => id,
+            None => self.next_id(),
+        };
         keyframe.id = Some(id);
         let scale = self.scale_covariance(&keyframe.pose);
         let Some(events) = &mut self.events else { return };

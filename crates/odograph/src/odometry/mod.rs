@@ -45,6 +45,7 @@ use crate::motion::{MeasuredMotion, MotionEstimate, MotionModel, PoseRates, Read
 use crate::trajectory::{FrameEstimate, LossReason, PlaneMeasurement, PoseEstimate, TrackStatus};
 use candidate::SegmentCandidate;
 pub use config::{KeyframeConfig, OdometryConfig};
+use cover::Trial;
 pub use earlier_pass::EarlierPass;
 use found_corner::FoundCorner;
 use keyframe::{Keyframe, KeyframeMemory, KeyframeUpdate};
@@ -71,6 +72,8 @@ pub struct Odometry {
     /// What is known of the errors of the calibration.
     deviations: CalibrationDeviations,
     keyframe: Option<Keyframe>,
+    /// Where something may cover the ground in the present keyframe.
+    trial: Option<Trial>,
     memory: KeyframeMemory,
     last: Option<LastPose>,
     learned: Learned,
@@ -144,6 +147,7 @@ impl Odometry {
             learned: Learned::with_rolling_shutter(&first_pose, &camera, config.motion.model),
             camera,
             keyframe: None,
+            trial: None,
             memory: KeyframeMemory::new(config.keyframe.remembered),
             last: None,
             filter: None,
@@ -400,7 +404,7 @@ impl Odometry {
         self.follow(time_s, &estimate, uncertainty.covariance);
         let improved = self.improve(time_s, &estimate);
         let keyframe = support < self.enough_support() || self.leaves_the_keyframe(&found, time_s);
-        self.end_trial(&found, &estimate);
+        self.end_trial();
         let measured_against = self.keyframe.as_ref().and_then(|keyframe| keyframe.id);
         self.reference = measured_against.map(|keyframe| FrameReference { keyframe, next: None });
         let is_mean = self.config.motion.model == MotionModel::Mean;

@@ -60,8 +60,8 @@ impl Odometry {
     }
 
     /// Changes the keyframe: to an older one if the camera has returned to it, otherwise to this
-    /// frame, on trial if something `may_be_covered` by something else. Returns the image if it is no
-    /// part of a keyframe.
+    /// frame, on trial if it `may_be_covered`. Returns the image if it is no part of
+    /// a keyframe.
     pub(super) fn change_keyframe(
         &mut self,
         pyramid: Pyramid,
@@ -106,13 +106,17 @@ impl Odometry {
         }
         self.expose(&mut next, estimate);
         let made = (self.frames, time_s);
-        if may_be_covered {
-            next.try_out(Trial { made, before });
+        next.was_on_trial = may_be_covered;
+        let trial = if may_be_covered {
+            next.id = Some(self.next_id());
+            Some(Trial { made, before })
         } else {
             self.number(&mut next, made, before);
-        }
+            None
+        };
         self.set_reference(next.id, pose);
         self.replace_keyframe(next);
+        self.trial = trial;
         None
     }
 
@@ -209,6 +213,7 @@ impl Odometry {
 
     /// Replaces the present keyframe, which is remembered.
     pub(super) fn replace_keyframe(&mut self, keyframe: Keyframe) {
+        self.trial = None;
         if let Some(before) = self.keyframe.replace(keyframe) {
             self.memory.remember(before);
         }

@@ -22,8 +22,6 @@ pub struct KeyCorner {
     seen_before: Option<MeasuredElevation>,
     confirmations: usize,
     pub(super) is_on_kerb: bool,
-    /// Whether a frame agreed on it, where something may cover the ground.
-    pub is_ground: bool,
     /// Information of the elevation that was taken over from a frame, 1/metres²; zero without.
     information_taken_over: f64,
     /// By how much the shape of the ground has raised it, metres.
@@ -52,7 +50,6 @@ impl KeyCorner {
             seen_before: None,
             confirmations: 0,
             is_on_kerb: false,
-            is_ground: false,
             information_taken_over: 0.0,
             bent_m: 0.0,
             is_on_new_ground: false,

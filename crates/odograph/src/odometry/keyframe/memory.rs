@@ -27,6 +27,13 @@ struct Remembered {
     reachable: bool,
 }
 
+impl Remembered {
+    /// Whether it is connected with the present by measurement, and shows the ground for sure.
+    fn shows_ground(&self) -> bool {
+        self.reachable && !self.keyframe.was_on_trial
+    }
+}
+
 impl KeyframeMemory {
     pub fn new(most: usize) -> Self {
         Self { records: VecDeque::new(), most, mask: None }
@@ -88,7 +95,7 @@ impl KeyframeMemory {
         self.mask = Some((mask.clone(), *detection));
     }
 
-    /// Takes out the newest keyframe that is connected with the present by measurement.
+    /// Takes out the newest of those keyframes.
     pub fn take_newest(&mut self, camera: &Camera) -> Option<Keyframe> {
         let newest = *self.newest().first()?;
         self.take(newest, camera)
@@ -117,14 +124,15 @@ impl KeyframeMemory {
         self.records.iter_mut().for_each(|record| record.reachable = false);
     }
 
-    /// How many keyframes are connected with the present by measurement.
+    /// How many keyframes a lost frame may be looked for in: those that are connected with the
+    /// present by measurement, and show the ground for sure.
     pub fn reachable(&self) -> usize {
-        self.records.iter().filter(|record| record.reachable).count()
+        self.records.iter().filter(|record| record.shows_ground()).count()
     }
 
     /// The indices of those keyframes, the newest first.
     pub fn newest(&self) -> Vec<usize> {
-        (0..self.records.len()).rev().filter(|&index| self.records[index].reachable).collect()
+        (0..self.records.len()).rev().filter(|&index| self.records[index].shows_ground()).collect()
     }
 
     /// The indices of those keyframes, the nearest to a pose first.

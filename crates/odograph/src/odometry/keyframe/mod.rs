@@ -8,7 +8,6 @@ mod overlap;
 mod projection;
 
 use super::OdometryConfig;
-use super::cover::Trial;
 use super::moving_ground::MovingGround;
 use super::surface::Surface;
 use super::texture::{self, TextureClass};
@@ -88,14 +87,12 @@ pub struct Keyframe {
     pub stale: Option<Arc<ImageMask>>,
     /// How many corners it began with.
     pub corners_at_first: usize,
-    /// How it is tied to the others, while something may cover the ground in it.
-    pub(in crate::odometry) on_trial: Option<Box<Trial>>,
     /// Whether something may have covered the ground when it was made.
     pub was_on_trial: bool,
     /// Ground that moves by itself.
     pub moving: MovingGround,
     /// Where the corners are, enough to prepare the keyframe again; [`Keyframe::find`] gives them.
-    pub(in crate::odometry) places: Vec<(usize, usize)>,
+    places: Vec<(usize, usize)>,
     /// What looks for them, where only a part of the image has been looked at.
     sought: Option<Box<Detection>>,
     /// How many of the places have been prepared.
@@ -150,7 +147,6 @@ impl Keyframe {
         Self {
             id: None,
             corners_at_first: 0,
-            on_trial: None,
             was_on_trial: false,
             corners: Vec::new(),
             pyramid,
@@ -211,10 +207,8 @@ impl Keyframe {
     /// be prepared again.
     fn retired(mut self) -> Self {
         self.find();
-        self.leave_out_cover();
         Self {
             corners_at_first: 0,
-            on_trial: None,
             corners: Vec::new(),
             rates_on_slope: None,
             level_m: 0.0,
