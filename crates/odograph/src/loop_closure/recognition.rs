@@ -35,9 +35,10 @@ impl Recognised {
     }
 
     /// Normalised innovation squared of a measured pose of the older keyframe. Zero without a
-    /// prediction.
+    /// prediction, and across a gap: the camera may have been moved anywhere meanwhile.
     pub fn innovation(&self, motion: &Vector4<f64>, covariance: &Matrix4<f64>) -> f64 {
-        self.prior.as_ref().map_or(0.0, |prior| prior.innovation(motion, covariance))
+        let prior = self.prior.as_ref().filter(|prior| !prior.reached.across_gap);
+        prior.map_or(0.0, |prior| prior.innovation(motion, covariance))
     }
 }
 
