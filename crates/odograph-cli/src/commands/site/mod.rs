@@ -58,8 +58,9 @@ struct ServeSiteArguments {
     /// given. `odograph site token` makes those of robots.
     #[arg(long, value_name = "TOKEN")]
     token: Option<String>,
-    /// Certificate with which the site is served over HTTPS, as PEM; those that it was signed with
-    /// follow in the same file.
+    /// Certificate with which the site is served over HTTPS, as PEM.
+    ///
+    /// Those that it was signed with follow in the same file.
     #[arg(long, value_name = "FILE", requires = "tls_key")]
     tls_certificate: Option<PathBuf>,
     /// Private key of that certificate, as PEM without a passphrase.
