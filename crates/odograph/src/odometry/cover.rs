@@ -3,8 +3,9 @@
 //! A frame in which many corners of its keyframe were not found again may show something else. As a
 //! keyframe it is on trial: if the next frame moves against it as predicted, it shows the ground.
 //! Otherwise the tracker would follow what covers the ground, and every later keyframe with it: the
-//! keyframe before is taken up again. After a loss nothing is looked for in a keyframe that was on
-//! trial: what covers the ground would be found.
+//! last keyframe that was not on trial is taken up again. Lost frames are not searched for in
+//! keyframes that were on trial, where what covers the ground would be found. Limits:
+//! `docs/math/frame-pose.md`.
 
 use super::Odometry;
 use super::keyframe_event::Before;
@@ -42,7 +43,7 @@ impl Odometry {
     }
 
     /// A frame measured against a keyframe on trial: if it has not moved as predicted, it is
-    /// measured against the keyframe before.
+    /// measured against the last keyframe that was not on trial.
     pub(super) fn on_trial(
         &mut self,
         measured: Result<Measurement, LossReason>,

@@ -60,8 +60,7 @@ impl Odometry {
     }
 
     /// Changes the keyframe: to an older one if the camera has returned to it, otherwise to this
-    /// frame, on trial if it `may_be_covered`. Returns the image if it is no part of
-    /// a keyframe.
+    /// frame, on trial if it `may_be_covered`. Returns the image if it is no part of a keyframe.
     pub(super) fn change_keyframe(
         &mut self,
         pyramid: Pyramid,
