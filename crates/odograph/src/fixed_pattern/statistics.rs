@@ -97,12 +97,13 @@ const NOISE_ROWS: usize = 4;
 fn add_noise(blocks: &mut [f32], [above, here, below]: [&[u8]; 3]) {
     const WEIGHTS_SQUARED: usize = 36;
     const SAMPLES: usize = (BLOCK_PX - 2) * (BLOCK_PX / NOISE_ROWS);
-    let rows = above.chunks(BLOCK_PX).zip(here.chunks(BLOCK_PX)).zip(below.chunks(BLOCK_PX));
-    for (block, ((above, here), below)) in blocks.iter_mut().zip(rows) {
-        let bent = |row: &[u8]| i32::from(row[0]) - 2 * i32::from(row[1]) + i32::from(row[2]);
-        let rows = above.windows(3).zip(here.windows(3)).zip(below.windows(3));
-        let squares = rows.map(|((above, here), below)| (bent(above) - 2 * bent(here) + bent(below)).pow(2));
-        *block += squares.sum::<i32>() as f32 / (WEIGHTS_SQUARED * SAMPLES) as f32;
+    let rows = [above, here, below].map(|row| row.as_chunks::<BLOCK_PX>().0);
+    for (block, ((above, here), below)) in blocks.iter_mut().zip(rows[0].iter().zip(rows[1]).zip(rows[2])) {
+        let across: [i16; BLOCK_PX] =
+            std::array::from_fn(|i| i16::from(above[i]) - 2 * i16::from(here[i]) + i16::from(below[i]));
+        let square = |i: usize| i32::from(across[i] - 2 * across[i + 1] + across[i + 2]).pow(2);
+        let squares: i32 = (0..BLOCK_PX - 2).map(square).sum();
+        *block += squares as f32 / (WEIGHTS_SQUARED * SAMPLES) as f32;
     }
 }
 
@@ -505,9 +506,14 @@ fn has_two_directions((xx, xy, yy): (f64, f64, f64), part: f64) -> bool {
 /// Box filter: replaces each value by the mean of those within `reach` cells.
 fn mean_around(values: &mut [f32], along: &mut [f32], (columns, rows): (usize, usize), reach: usize) {
     for (own, sums) in values.chunks_exact(columns).zip(along.chunks_exact_mut(columns)) {
+        sums.fill(0.0);
+        for shift in 0..=2 * reach {
+            let (from, to) = (shift.saturating_sub(reach), reach.saturating_sub(shift));
+            let others = own.get(from..).unwrap_or_default();
+            sums.iter_mut().skip(to).zip(others).for_each(|(sum, other)| *sum += other);
+        }
         for (column, sum) in sums.iter_mut().enumerate() {
-            let near = column.saturating_sub(reach)..(column + reach + 1).min(columns);
-            *sum = own[near.clone()].iter().sum::<f32>() / near.len() as f32;
+            *sum /= ((column + reach + 1).min(columns) - column.saturating_sub(reach)) as f32;
         }
     }
     for row in 0..rows {

@@ -1,6 +1,7 @@
 //! Interlaced video: even and odd rows of an image are of different times.
 
 use super::GrayImage;
+use super::simd::squared_differences;
 use crate::numerics::median;
 
 /// Finds out from the images themselves whether a recording is interlaced.
@@ -42,15 +43,8 @@ impl Interlacing {
     }
 
     fn is_combed(&mut self, image: &GrayImage) -> bool {
-        let squares = |(a, b): (&[u8], &[u8])| -> u32 {
-            a.iter().zip(b).map(|(&a, &b)| u32::from(a.abs_diff(b)).pow(2)).sum()
-        };
-        // In parts whose sums 32 bits hold.
-        let difference = |a: &[u8], b: &[u8]| -> f64 {
-            a.chunks(1 << 12).zip(b.chunks(1 << 12)).map(|parts| f64::from(squares(parts))).sum()
-        };
         let rows = (0..image.height().saturating_sub(2)).step_by(EVERY);
-        let of_row = |y| [1, 2].map(|apart| difference(image.row(y), image.row(y + apart)));
+        let of_row = |y| [1, 2].map(|apart| squared_differences(image.row(y), image.row(y + apart)) as f64);
         // Rows of a black border say nothing, and a row counts no more than the median row: a few
         // that differ from all others, as those of a broken sensor do, are no second field.
         self.differences.clear();

@@ -41,14 +41,10 @@ impl Restoration {
     /// The next image, corrected.
     pub fn restore(&mut self, mut image: GrayImage) -> GrayImage {
         let Self { found, row_noise, .. } = self;
-        let transposed = self.transposed.get_or_insert_with(|| GrayImage::new(0, 0));
         if self.images.is_multiple_of(EXAMINED_EVERY) {
             found.impulse_noise = found.impulse_noise || has_impulse_noise(&image);
             found.row_noise = found.row_noise || row_noise.is_in(&image);
-            if !found.column_noise {
-                image.transpose_into(transposed);
-                found.column_noise = row_noise.is_in(transposed);
-            }
+            found.column_noise = found.column_noise || row_noise.is_in_columns(&image);
         }
         self.images += 1;
         if found.impulse_noise {
@@ -58,6 +54,7 @@ impl Restoration {
             remove_row_noise(&mut image, ROWS_REACH);
         }
         if found.column_noise {
+            let transposed = self.transposed.get_or_insert_with(|| GrayImage::new(0, 0));
             image.transpose_into(transposed);
             remove_row_noise(transposed, COLUMNS_REACH);
             transposed.transpose_into(&mut image);

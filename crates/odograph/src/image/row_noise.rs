@@ -42,8 +42,24 @@ pub struct RowNoise {
 impl RowNoise {
     /// Whether an image has row noise.
     pub fn is_in(&mut self, image: &GrayImage) -> bool {
-        self.compare_rows(image);
-        let samples = (image.width() / EVERY_COLUMN).max(1) as f64;
+        self.is_in_lines((image.height(), image.width()), (image.width(), 1), image.samples())
+    }
+
+    /// Whether an image has column noise.
+    pub fn is_in_columns(&mut self, image: &GrayImage) -> bool {
+        self.is_in_lines((image.width(), image.height()), (1, image.width()), image.samples())
+    }
+
+    /// The same for lines of this number and length, with the distances in memory from one line to
+    /// the next and from one sample of a line to the next.
+    fn is_in_lines(
+        &mut self,
+        (lines, length): (usize, usize),
+        strides: (usize, usize),
+        image: &[u8],
+    ) -> bool {
+        self.compare_lines((lines, length), strides, image);
+        let samples = (length / EVERY_COLUMN).max(1) as f64;
         self.sorted.clone_from(&self.medians);
         let (Some(slope), Some(spread)) = (median(&mut self.sorted), median(&mut self.spreads)) else {
             return false;
@@ -57,16 +73,29 @@ impl RowNoise {
         is_strong && correlation(&self.medians, 3.0 * sigma) < INDEPENDENT
     }
 
-    /// Medians and spreads of the differences between rows, of two pairs with a row in common at a
-    /// time.
-    fn compare_rows(&mut self, image: &GrayImage) {
+    /// Medians and spreads of the differences between lines, of two pairs with a line in common at
+    /// a time.
+    fn compare_lines(
+        &mut self,
+        (lines, length): (usize, usize),
+        (to_next_line, to_next): (usize, usize),
+        image: &[u8],
+    ) {
         self.medians.clear();
         self.spreads.clear();
-        for y in (0..image.height().saturating_sub(2)).step_by(EVERY_ROW) {
-            for y in [y, y + 1] {
-                let rows = image.row(y).iter().zip(image.row(y + 1)).step_by(EVERY_COLUMN);
-                let mut differences = Histogram::default();
-                rows.for_each(|(&a, &b)| differences.add(i32::from(b) - i32::from(a)));
+        if length == 0 {
+            return;
+        }
+        for line in (0..lines.saturating_sub(2)).step_by(EVERY_ROW) {
+            let [first, second, third] =
+                [0, 1, 2].map(|i| image[(line + i) * to_next_line..].iter().step_by(EVERY_COLUMN * to_next));
+            let mut pairs = [Histogram::default(), Histogram::default()];
+            let samples = first.zip(second).zip(third).take(length.div_ceil(EVERY_COLUMN));
+            for ((&a, &b), &c) in samples {
+                pairs[0].add(i32::from(b) - i32::from(a));
+                pairs[1].add(i32::from(c) - i32::from(b));
+            }
+            for differences in &pairs {
                 let middle = differences.median();
                 self.medians.push(f64::from(middle));
                 self.spreads.push(f64::from(differences.median_distance(middle)) / NORMAL_MEDIAN);
@@ -77,13 +106,17 @@ impl RowNoise {
 
 /// Differences of gray levels, by number.
 struct Histogram {
-    counts: [u32; 511],
+    counts: [u32; BLOCK * BLOCKS],
     total: u32,
 }
 
+/// Counts are added up in blocks first, to find the median.
+const BLOCK: usize = 16;
+const BLOCKS: usize = 512 / BLOCK;
+
 impl Default for Histogram {
     fn default() -> Self {
-        Self { counts: [0; 511], total: 0 }
+        Self { counts: [0; BLOCK * BLOCKS], total: 0 }
     }
 }
 
@@ -100,27 +133,34 @@ impl Histogram {
 
     /// The median, the greater of the middle two; 0 of nothing.
     fn median(&self) -> i32 {
-        self.middle((-255..=255).map(|value| (value, self.count(value))))
+        let mut below = 0;
+        for (block, counts) in self.counts.as_chunks::<BLOCK>().0.iter().enumerate() {
+            let with_block = below + counts.iter().sum::<u32>();
+            if with_block > self.total / 2 {
+                let values = (BLOCK * block) as i32 - 255..;
+                return self.middle(below, values.zip(counts.iter().copied()));
+            }
+            below = with_block;
+        }
+        0
     }
 
     /// The median of the distances from a value.
     fn median_distance(&self, from: i32) -> i32 {
-        self.middle((0..=510).map(|distance| {
-            let other = if distance == 0 { 0 } else { self.count(from - distance) };
-            (distance, self.count(from + distance) + other)
-        }))
+        let both = |distance| self.count(from + distance) + self.count(from - distance);
+        let counts = (0..=510)
+            .map(|distance| (distance, if distance == 0 { self.count(from) } else { both(distance) }));
+        self.middle(0, counts)
     }
 
-    /// The first value up to which more than half of the numbers lie.
-    fn middle(&self, counts: impl Iterator<Item = (i32, u32)>) -> i32 {
-        let mut below = 0;
-        for (value, count) in counts {
+    /// The first value up to which more than half of the numbers lie, of which `below` are less
+    /// than the first one.
+    fn middle(&self, mut below: u32, mut counts: impl Iterator<Item = (i32, u32)>) -> i32 {
+        let is_middle = |&(_, count): &(i32, u32)| {
             below += count;
-            if below > self.total / 2 {
-                return value;
-            }
-        }
-        0
+            below > self.total / 2
+        };
+        counts.find(is_middle).map_or(0, |(value, _)| value)
     }
 }
 
@@ -223,6 +263,8 @@ mod tests {
         noisy.transpose_into(&mut transposed);
         assert_eq!(transposed, image(20));
         assert!(RowNoise::default().is_in(&transposed));
+        assert!(RowNoise::default().is_in_columns(&noisy));
+        assert!(!RowNoise::default().is_in_columns(&transposed));
     }
 
     #[test]

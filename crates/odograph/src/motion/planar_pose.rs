@@ -148,7 +148,10 @@ pub fn refine(
             // prior. It is such a misfit where the fit without the prior explains most of it.
             let step = tracks_alone.solve(&slope);
             nuisance.errors_after(&step, &residuals, &mut free_errors);
-            free_lengths.iter_mut().zip(&*free_errors).for_each(|(length, [x, y])| *length = x.hypot(*y));
+            free_lengths
+                .iter_mut()
+                .zip(&*free_errors)
+                .for_each(|(length, [x, y])| *length = (x * x + y * y).sqrt());
             let free_px = robust_scale(&free_lengths, config.inlier_px, &mut free_sorted);
             let is_explained = free_px < EXPLAINED * scale_px;
             let noise_px = if is_explained { free_px } else { scale_px };

@@ -437,6 +437,11 @@ widened! {
 }
 
 widened! {
+    /// Sum of the squared differences of two rows; as many as the shorter one has.
+    squared_differences(a: &[u8], b: &[u8]) -> u64
+}
+
+widened! {
     /// Hamming distances of `one` to each of `others`; as many as the shorter of `others` and
     /// `out`.
     differing_bits(one: &[u64; 4], others: &[[u64; 4]], out: &mut [u32])

@@ -134,27 +134,27 @@ pub fn dot(a: &Patch, b: &Patch) -> f64 {
     total(sums)
 }
 
+/// Sums of a function of row number and sample over each column.
+#[inline(always)]
+fn summed(rows: &[Columns], term: impl Fn(usize, f32) -> f32) -> Columns {
+    let mut sums = [0.0f32; SUMS];
+    for (j, row) in rows.iter().enumerate() {
+        for i in 0..SUMS {
+            sums[i] += term(j, row[i]);
+        }
+    }
+    sums
+}
+
 #[inline(always)]
 pub fn plane_and_energy(samples: &Patch) -> (Plane, f64) {
     let rows = samples.as_chunks::<SUMS>().0;
-    let mut sums = [0.0f32; SUMS];
-    for row in rows {
-        for i in 0..SUMS {
-            sums[i] += row[i];
-        }
-    }
-    let mean = total(sums) / samples.len() as f64;
+    let mean = total(summed(rows, |_, sample| sample)) / samples.len() as f64;
     let middle = mean as f32;
-    let [mut columns, mut down, mut squares] = [[0.0f32; SUMS]; 3];
-    for (j, row) in rows.iter().enumerate() {
-        let place = PLACES[1][j];
-        for i in 0..SUMS {
-            let difference = row[i] - middle;
-            columns[i] += difference;
-            down[i] += place * difference;
-            squares[i] += difference * difference;
-        }
-    }
+    // One loop for each sum: the compiler does not vectorise all in one.
+    let columns = summed(rows, |_, sample| sample - middle);
+    let down = summed(rows, |j, sample| PLACES[1][j] * (sample - middle));
+    let squares = summed(rows, |_, sample| (sample - middle) * (sample - middle));
     let plane = Plane::of_sums(0.0, [sum_along(&columns, 1), total(down)]);
     (Plane { mean, ..plane }, total(squares) - plane.dot(&plane))
 }
@@ -548,6 +548,17 @@ pub fn mark_local_maxima(above: &[f32], here: &[f32], below: &[f32], least: f32,
         let after = (s >= h2[x]) & (s >= b0[x]) & (s >= b1[x]) & (s >= b2[x]);
         marks[x] = u8::from((s >= least) & before & after);
     }
+}
+
+#[inline(always)]
+pub fn squared_differences(a: &[u8], b: &[u8]) -> u64 {
+    // Parts whose sums 32 bits hold.
+    let parts = a.chunks(1 << 12).zip(b.chunks(1 << 12));
+    let sum = |(a, b): (&[u8], &[u8])| -> u32 {
+        let squares = a.iter().zip(b).map(|(&a, &b)| u16::from(a.abs_diff(b)) * u16::from(a.abs_diff(b)));
+        squares.map(u32::from).sum()
+    };
+    parts.map(|part| u64::from(sum(part))).sum()
 }
 
 #[inline(always)]

@@ -141,6 +141,14 @@ proptest! {
     }
 
     #[test]
+    fn squared_differences_are_the_references(width in 0usize..9000, seed in any::<u32>()) {
+        let [a, b] = [0, 1].map(|i| random(seed ^ i).take(width).collect::<Vec<u8>>());
+        prop_assert_eq!(squared_differences(&a, &b), scalar::squared_differences(&a, &b));
+        let exact: i64 = a.iter().zip(&b).map(|(&a, &b)| (i64::from(a) - i64::from(b)).pow(2)).sum();
+        prop_assert_eq!(squared_differences(&a, &b), exact as u64);
+    }
+
+    #[test]
     fn rows_are_blurred_as_the_reference_blurs_them(half in 1usize..80, spare in 0usize..3, seed in any::<u32>()) {
         let width = 2 * half + 3 + spare;
         let rows: Vec<Vec<u8>> = (0..5).map(|i| random(seed ^ i).take(width).collect()).collect();
