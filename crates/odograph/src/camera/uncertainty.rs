@@ -162,6 +162,9 @@ impl CameraUncertainty {
     }
 }
 
+/// Name of the ratio of the focal lengths, fy/fx.
+pub const ASPECT: &str = "fy/fx";
+
 /// The camera with one parameter changed; `None` for a name that it does not have, or if the result
 /// is no valid camera.
 pub fn varied(camera: &Camera, name: &str, by: f64) -> Option<Camera> {
@@ -183,6 +186,11 @@ fn changed<'a>(camera: &Camera, changes: impl IntoIterator<Item = (&'a str, f64)
                 fy += by * fy / fx;
                 fx += by;
             }
+            // Of the same geometric mean.
+            ASPECT => {
+                let factor = (1.0 + by * fx / fy).sqrt();
+                (fx, fy) = (fx / factor, fy * factor);
+            }
             "cx" => cx += by,
             "cy" => cy += by,
             _ => coefficient(&mut distortion, name).into_iter().for_each(|value| *value += by),
@@ -198,6 +206,7 @@ pub fn parameter(camera: &Camera, name: &str) -> Option<f64> {
     match name {
         "fx" | "f" => Some(fx),
         "fy" => Some(fy),
+        ASPECT => Some(fy / fx),
         "cx" => Some(cx),
         "cy" => Some(cy),
         _ => coefficient(&mut camera.distortion().clone(), name).copied(),

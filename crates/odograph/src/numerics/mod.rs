@@ -3,7 +3,7 @@
 
 mod combination;
 
-pub use combination::{Combined, Part, combine, inverse};
+pub use combination::{Combined, Part, combine, combine_with, inverse};
 
 use nalgebra::Vector2;
 

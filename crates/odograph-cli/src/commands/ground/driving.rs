@@ -177,7 +177,7 @@ fn follow(
     progress.set_message("solving for the tilt");
     let frame = last.ok_or_else(|| Error::input(format!("{path} has no frame in the chosen range")))?;
     let found = driven.solve(&rig, uncertainty).map_err(|error| error.at(path))?;
-    let lens = driven.self_calibration(&rig, 0).ok().and_then(|calibration| calibration.lens);
+    let lens = driven.self_calibration(&rig, None).ok().and_then(|calibration| calibration.lens);
     let lens = lens.map(|(lens, _)| lens).filter(LensMeasurement::is_significant);
     progress.finish_and_clear();
     Ok(CalibrationPass { driven, found, lens, frame, warnings: source.take_warnings(), length_by_frames_m })

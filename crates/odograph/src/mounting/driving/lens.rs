@@ -8,14 +8,14 @@
 //! principal point and the decentering; turns determine the ratio of the focal lengths. The focal
 //! length itself is not observable: over level ground it is equivalent to the height.
 
-use super::bundle::{self, LENS_START, LensUnknowns, Solved};
+use super::bundle::{self, LENS_START, LensUnknowns, Solved, TILT};
 use super::{DrivenTilt, MAX_SIGMA_RATIO, TiltMeasurement};
 use crate::camera::uncertainty::parameter;
-use crate::camera::{Camera, Distortion, Rig};
+use crate::camera::{Camera, Distortion, PosedCamera, Rig};
 use crate::error::Result;
-use crate::geometry::Pixel;
-use crate::numerics::{Combined, combine};
-use nalgebra::{DMatrix, DVector};
+use crate::geometry::{GroundPose, Pixel};
+use crate::numerics::Combined;
+use nalgebra::{DMatrix, DVector, Vector2};
 
 /// The lens as estimated while driving.
 #[derive(Debug, Clone, PartialEq)]
@@ -24,10 +24,11 @@ pub struct LensMeasurement {
     pub camera: Camera,
     /// The estimated parameters.
     pub coefficients: Vec<LensCoefficient>,
-    /// Largest difference from the calibration at the edge of the image, and one standard deviation
-    /// of it, pixels.
+    /// Largest difference from the calibration at the edge of the image, pixels.
     pub off_px: f64,
-    /// See [`LensMeasurement::off_px`].
+    /// Standard deviation there of where a ground point is seen with the estimates of lens and
+    /// tilt, pixels. What a tilt makes up for does not matter, and a shift of the whole image hardly
+    /// does.
     pub deviation_px: f64,
     /// Standard deviation between keyframes beyond the noise of the tracks, pixels at the edge of
     /// the image. A large one shows that the cause is not the lens.
@@ -79,6 +80,12 @@ impl LensMeasurement {
         off_px >= MIN_OFF_PX && (is_far || self.deviation_px < MAX_SIGMA_RATIO * used.deviation_px)
     }
 
+    /// The estimate less the parameters of a calibration.
+    fn change_from(&self, given: &Camera) -> Vec<f64> {
+        let given = self.coefficients_of(given);
+        self.coefficients.iter().zip(given).map(|(found, given)| found.value - given).collect()
+    }
+
     /// The same parameters of another camera; zero where its model lacks them.
     pub fn coefficients_of(&self, camera: &Camera) -> Vec<f64> {
         let value = |known: &LensCoefficient| parameter(camera, known.name).unwrap_or(0.0);
@@ -92,8 +99,14 @@ impl LensMeasurement {
         edge(camera).filter_map(off).fold(0.0, f64::max)
     }
 
-    /// The lens with its leading parameters changed by `change`; `combined` has their covariance.
-    fn new<const N: usize>(given: &Camera, change: &[f64], combined: &Combined<N>) -> Option<Self> {
+    /// The lens with its leading parameters changed by `change`; `combined` has their covariance
+    /// with the tilt, which is that of `mount`.
+    fn new<const N: usize>(
+        given: &Camera,
+        change: &[f64],
+        combined: &Combined<N>,
+        mount: &GroundPose,
+    ) -> Option<Self> {
         let mut lens = LensUnknowns::new(given, N - LENS_START)?;
         lens.add_change(change)?;
         let covariance =
@@ -101,25 +114,34 @@ impl LensMeasurement {
         let scatter = DMatrix::from_diagonal(&combined.scatter.rows(LENS_START, change.len()).clone_owned());
         let off = DVector::from_column_slice(change);
         let significance = off.dot(&(covariance.clone().try_inverse()? * &off)).sqrt();
-        let mut largest = [0.0f64; 3];
+        let with_tilt = LENS_START + change.len();
+        let together = combined.covariance.view((0, 0), (with_tilt, with_tilt)).clone_owned();
+        let posed = PosedCamera::new(lens.camera(), *mount);
+        let (mut off_px, mut scatter_px) = (0.0f64, 0.0f64);
+        let mut shifts = Vec::new();
+        let spread =
+            |by: &DMatrix<f64>, variance: &DMatrix<f64>| (by * variance * by.transpose()).trace().sqrt();
         for pixel in edge(given) {
             // A lens model may have no ray for its farthest corner.
             let Some(ray) = given.ray_from_pixel(pixel) else { continue };
             let moved = lens.camera().pixel_from_ray(ray)?;
             let pixel_by_lens = lens.pixel_by_lens(ray)?;
             let pixel_by_lens = DMatrix::from_fn(2, change.len(), |row, k| pixel_by_lens[k][row]);
-            let spread = |variance: &DMatrix<f64>| {
-                (&pixel_by_lens * variance * pixel_by_lens.transpose()).trace().sqrt()
-            };
-            let there = [moved.distance(pixel), spread(&covariance), spread(&scatter)];
-            largest = std::array::from_fn(|k| largest[k].max(there[k]));
+            off_px = off_px.max(moved.distance(pixel));
+            scatter_px = scatter_px.max(spread(&pixel_by_lens, &scatter));
+            let Some(seen) = posed.ground(ray).and_then(|met| posed.see(met.point)) else { continue };
+            shifts.push(DMatrix::from_fn(2, with_tilt, |row, k| match k.checked_sub(LENS_START) {
+                Some(k) => pixel_by_lens[(row, k)],
+                None => seen.by_pose[(row, 4 + k)],
+            }));
         }
+        let mean = shifts.iter().sum::<DMatrix<f64>>() / shifts.len().max(1) as f64;
+        let deviation_px = shifts.iter().map(|by| spread(&(by - &mean), &together)).fold(0.0, f64::max);
         let deviations = covariance.diagonal().map(f64::sqrt);
         let coefficients = lens.coefficients().zip(&deviations);
         let coefficients = coefficients
             .map(|((name, value), &deviation)| LensCoefficient { name, value, deviation })
             .collect();
-        let [off_px, deviation_px, scatter_px] = largest;
         let camera = lens.camera().clone();
         Some(Self { camera, coefficients, off_px, deviation_px, scatter_px, significance })
     }
@@ -138,7 +160,8 @@ fn edge(camera: &Camera) -> impl Iterator<Item = Pixel> {
 pub struct SelfCalibration {
     /// The tilt if the lens is as calibrated.
     pub tilt: TiltMeasurement,
-    /// The lens and the tilt estimated with it; `None` if the motion does not determine it.
+    /// The lens and the tilt estimated with it, whose covariance is that given this lens; `None` if
+    /// the motion does not determine it.
     pub lens: Option<(LensMeasurement, TiltMeasurement)>,
 }
 
@@ -146,15 +169,17 @@ impl DrivenTilt {
     /// Estimates tilt and lens together: as [`DrivenTilt::solve`], with distortion parameters as
     /// further common unknowns. The first radial parameter is always estimated; the second only if
     /// it differs significantly from the calibration; principal point, second focal length and
-    /// decentering only if those differ significantly as well. At least `parameters` are estimated,
-    /// for a lens found with that many before.
+    /// decentering only if those differ significantly as well. The estimate begins with the lens of
+    /// an earlier one, and has at least as many parameters.
     ///
     /// # Errors
     ///
     /// If there are too few pairs to solve at all.
-    pub fn self_calibration(&self, start: &Rig, parameters: usize) -> Result<SelfCalibration> {
+    pub fn self_calibration(&self, start: &Rig, before: Option<&LensMeasurement>) -> Result<SelfCalibration> {
+        let parameters = before.map_or(0, |lens| lens.coefficients.len());
+        let change: Vec<f64> = before.map_or_else(Vec::new, |lens| lens.change_from(&self.camera));
         let groups = || self.groups.iter().step_by(self.pairs.div_ceil(MAX_PAIRS).max(1));
-        let with_lens = bundle::solve::<ALL_UNKNOWNS>(&self.camera, groups(), start)
+        let with_lens = bundle::solve::<ALL_UNKNOWNS>((&self.camera, &change), groups(), start)
             .and_then(|solved| self.select_model(&solved, parameters));
         if let Some(found) = with_lens {
             return Ok(found);
@@ -198,19 +223,20 @@ impl DrivenTilt {
     /// The tilt with the given lens.
     fn tilt_only<const N: usize>(&self, solved: &Solved<N>) -> Option<TiltMeasurement> {
         let tilt_only = solved.restricted::<LENS_START>();
-        self.tilt(&tilt_only, &combine(&tilt_only.parts)?).ok()
+        self.tilt(&tilt_only, &tilt_only.combined()?).ok()
     }
 
     fn with_lens<const N: usize>(&self, solved: &Solved<N>) -> Option<(LensMeasurement, TiltMeasurement)> {
-        let combined = combine(&solved.parts)?;
+        let combined = solved.combined()?;
         let change: Vec<f64> = solved
             .lens_change
             .iter()
             .zip(combined.offset.iter().skip(LENS_START))
             .map(|(a, b)| a + b)
             .collect();
-        let lens = LensMeasurement::new(&self.camera, &change, &combined)?;
-        Some((lens, self.tilt(solved, &combined).ok()?))
+        let tilt = self.tilt(solved, &combined.given_the_last::<TILT>()?).ok()?;
+        let mount = bundle::first_pose(&Vector2::new(tilt.roll_rad, tilt.pitch_rad));
+        Some((LensMeasurement::new(&self.camera, &change, &combined, &mount)?, tilt))
     }
 }
 
@@ -219,7 +245,7 @@ const PARAMETER_SIGMAS: f64 = 5.0;
 
 /// Whether the parameters from `first` on differ significantly, taken together.
 fn last_are_significant<const N: usize>(solved: &Solved<N>, first: usize) -> bool {
-    let Some(combined) = combine(&solved.parts) else { return false };
+    let Some(combined) = solved.combined() else { return false };
     let off = DVector::from_fn(N - first, |k, _| {
         solved.lens_change[first + k - LENS_START] + combined.offset[first + k]
     });

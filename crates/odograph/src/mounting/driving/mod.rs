@@ -33,7 +33,7 @@ use crate::error::{Error, Result};
 use crate::geometry::{GroundPose, Pixel};
 use crate::keyframe::KeyframeId;
 use crate::motion::PoseRates;
-use crate::numerics::{Combined, combine};
+use crate::numerics::Combined;
 use crate::odometry::tracking::track_whitenings;
 use crate::odometry::{Odometry, TrackView};
 use crate::trajectory::FrameEstimate;
@@ -365,8 +365,9 @@ impl DrivenTilt {
     /// If there are too few pairs to solve at all; a motion that does not determine the tilt is no
     /// error but stated in [`TiltMeasurement::observability`].
     pub fn solve(&self, start: &Rig, uncertainty: Option<&CameraUncertainty>) -> Result<TiltMeasurement> {
-        let solved = bundle::solve::<TILT>(&self.camera, self.groups.iter(), start).ok_or_else(too_few)?;
-        let mut combined = combine(&solved.parts).ok_or_else(too_few)?;
+        let solved =
+            bundle::solve::<TILT>((&self.camera, &[]), self.groups.iter(), start).ok_or_else(too_few)?;
+        let mut combined = solved.combined().ok_or_else(too_few)?;
         if let Some(uncertainty) = uncertainty {
             let [roll, pitch] = combined.offset.into();
             let found =
@@ -420,8 +421,8 @@ impl DrivenTilt {
         const MAX_KEYFRAMES: usize = 40;
         let every = self.groups.len().div_ceil(MAX_KEYFRAMES).max(1);
         uncertainty.propagated(&self.camera, |camera| {
-            let solved = bundle::solve::<TILT>(camera, self.groups.iter().step_by(every), found)?;
-            let Combined { offset, .. } = combine(&solved.parts)?;
+            let solved = bundle::solve::<TILT>((camera, &[]), self.groups.iter().step_by(every), found)?;
+            let Combined { offset, .. } = solved.combined()?;
             Some([solved.roll_rad + offset[0], solved.pitch_rad + offset[1]])
         })
     }

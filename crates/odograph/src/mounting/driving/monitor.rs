@@ -79,9 +79,18 @@ const MAX_TRACKS: usize = 80;
 /// At the end of the recording, twice the pairs are enough for another check.
 const END_FACTOR: usize = 2;
 
-/// Deviation of the odometry below which the calibration is taken as right: fraction of the height,
-/// radians. With a right calibration it is a hundredth of this.
+/// A lens that differs by more than this at the edge of the image, pixels, bends the patches that
+/// are followed, and with it the tracks. Not derived; chosen.
+const ROUGH_PX: f64 = 3.0;
+
+/// Deviation of the odometry below which the calibration seems to be right: fraction of the height,
+/// radians. With a right calibration it is a hundredth of this. A decentering across the direction
+/// of travel and a wrong roll do not show in it.
 const MIN_DEVIATION: f64 = 2e-4;
+
+/// Number of pairs at the last check of a calibration that seems to be right: a check costs 3 ms of
+/// processor time a pair.
+const LAST_QUIET_CHECK: usize = 32;
 
 /// A smaller tilt, radians, bends a path by less than the pixel noise does.
 const MIN_TILT_RAD: f64 = 0.02 * std::f64::consts::PI / 180.0;
@@ -159,23 +168,32 @@ impl CalibrationMonitor {
     /// The check at the end of a recording that is too short for the next scheduled one: a short
     /// recording is cheap to track again.
     pub fn at_end(&self) -> Option<CalibrationUpdate> {
-        let least = if self.in_use.pairs == 0 { FIRST_CHECK } else { END_FACTOR * self.in_use.pairs };
+        // Tracks that were followed with a very wrong lens are off themselves.
+        let is_rough = self.in_use.lens.as_ref().is_some_and(|lens| lens.off_px > ROUGH_PX);
+        let least = match self.in_use.pairs {
+            0 => FIRST_CHECK,
+            pairs if is_rough => pairs,
+            pairs => END_FACTOR * pairs,
+        };
         let worth = self.next_check <= LAST_CHECK && self.driven.pairs() >= least;
         worth.then(|| self.check()).flatten()
     }
 
     /// The estimated calibration if it is to replace the one in use.
     pub(super) fn check(&self) -> Option<CalibrationUpdate> {
-        if !self.deviates {
+        if !self.deviates && self.driven.pairs() >= 2 * LAST_QUIET_CHECK {
             return None;
         }
         let (tilt, lens) = self.measured()?;
         let (used, explains) = (&self.in_use, self.driven.explains(&tilt));
+        let lens = lens.filter(|_| explains);
+        // What the motion leaves open between tilt and lens is in both estimates.
+        let goes_with_lens = lens.is_some() && self.off(&tilt).norm() >= MIN_TILT_RAD;
         let tilt = Some(tilt).filter(|tilt| {
-            explains && self.differs_significantly(tilt)
+            goes_with_lens
+                || explains && self.differs_significantly(tilt)
                 || used.tilt.as_ref().is_some_and(|used| agrees(tilt, used))
         });
-        let lens = lens.filter(|_| explains);
         let found = CalibrationUpdate { tilt, lens, pairs: self.driven.pairs() };
         self.replaces(&found).then_some(found)
     }
@@ -186,8 +204,7 @@ impl CalibrationMonitor {
         if !self.lens {
             return Some((self.driven.solve(&self.given, None).ok()?, None));
         }
-        let before = self.in_use.lens.as_ref().map_or(0, |lens| lens.coefficients.len());
-        let found = self.driven.self_calibration(&self.given, before).ok()?;
+        let found = self.driven.self_calibration(&self.given, self.in_use.lens.as_ref()).ok()?;
         Some(match found.lens {
             Some((lens, tilt)) if lens.is_significant() => (tilt, Some(lens)),
             _ => (found.tilt, None),
@@ -213,9 +230,14 @@ impl CalibrationMonitor {
             || changes(&used.lens, &found.lens, |found, used| found.is_better_than(used))
     }
 
+    /// A tilt less the given one.
+    fn off(&self, found: &TiltMeasurement) -> Vector2<f64> {
+        Vector2::new(found.roll_rad - self.given.roll_rad, found.pitch_rad - self.given.pitch_rad)
+    }
+
     /// Whether a tilt differs from the given one significantly, steadily and by enough to matter.
     fn differs_significantly(&self, found: &TiltMeasurement) -> bool {
-        let off = Vector2::new(found.roll_rad - self.given.roll_rad, found.pitch_rad - self.given.pitch_rad);
+        let off = self.off(found);
         let [roll, pitch] = found.scatter_rad;
         let certainty =
             found.covariance.try_inverse().map_or(0.0, |information| off.dot(&(information * off)));

@@ -108,7 +108,7 @@ fn a_rolling_shutter_is_not_taken_for_a_tilt() {
         }
         driven.groups.push(Group { pairs });
     }
-    let found = driven.self_calibration(&Rig::level(1.0), 0).unwrap().tilt;
+    let found = driven.self_calibration(&Rig::level(1.0), None).unwrap().tilt;
     assert!(off(&found).norm() < 2e-3, "{found:?}");
 }
 

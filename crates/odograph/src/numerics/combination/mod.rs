@@ -54,6 +54,17 @@ pub struct Combined<const N: usize> {
     pub scatter: SVector<f64, N>,
 }
 
+impl<const N: usize> Combined<N> {
+    /// The same with the covariance of the first `M` quantities given the others. `None` if the
+    /// others are known exactly.
+    pub fn given_the_last<const M: usize>(mut self) -> Option<Self> {
+        let information = inverse(&self.covariance)?;
+        let first = inverse(&information.fixed_view::<M, M>(0, 0).into_owned())?;
+        self.covariance.fixed_view_mut::<M, M>(0, 0).copy_from(&first);
+        Some(self)
+    }
+}
+
 /// The random-effects mean (R. DerSimonian and N. Laird, "Meta-analysis in clinical trials", 1986):
 /// each measurement's true value scatters about the common one with a common diagonal covariance,
 /// which is estimated by restricted maximum likelihood (D. Harville, 1977) with a multiplicative
@@ -62,8 +73,13 @@ pub struct Combined<const N: usize> {
 /// `None` if the measurements do not determine every quantity. Derivation:
 /// `docs/math/extrinsics-from-driving.md`.
 pub fn combine<const N: usize>(parts: &[Part<N>]) -> Option<Combined<N>> {
+    combine_with(parts, &Part::default())
+}
+
+/// The same with what was known before.
+pub fn combine_with<const N: usize>(parts: &[Part<N>], prior: &Part<N>) -> Option<Combined<N>> {
     let mut scatter = SVector::<f64, N>::zeros();
-    let mut combined = mean(parts, &scatter)?;
+    let mut combined = mean(parts, prior, &scatter)?;
     if parts.len() < 2 {
         return Some(combined);
     }
@@ -82,7 +98,7 @@ pub fn combine<const N: usize>(parts: &[Part<N>]) -> Option<Combined<N>> {
         scatter[k] = if weight > 0.0 { squares / weight } else { 0.0 };
     }
     for _ in 0..ROUNDS {
-        combined = mean(parts, &scatter)?;
+        combined = mean(parts, prior, &scatter)?;
         let (mut found, mut expected) = (SVector::<f64, N>::zeros(), SVector::<f64, N>::zeros());
         for part in parts {
             let (information, slope) = softened(part, &scatter)?;
@@ -97,7 +113,7 @@ pub fn combine<const N: usize>(parts: &[Part<N>]) -> Option<Combined<N>> {
             scatter[k] *= if expected[k] > 0.0 { (found[k] / expected[k]).clamp(0.1, 10.0) } else { 0.0 };
         }
     }
-    combined = mean(parts, &scatter)?;
+    combined = mean(parts, prior, &scatter)?;
     Some(Combined { scatter, ..combined })
 }
 
@@ -120,9 +136,12 @@ fn softened<const N: usize>(
     Some((inverse * part.information, inverse * part.slope))
 }
 
-fn mean<const N: usize>(parts: &[Part<N>], scatter: &SVector<f64, N>) -> Option<Combined<N>> {
-    let mut information = SMatrix::<f64, N, N>::zeros();
-    let mut slope = SVector::<f64, N>::zeros();
+fn mean<const N: usize>(
+    parts: &[Part<N>],
+    prior: &Part<N>,
+    scatter: &SVector<f64, N>,
+) -> Option<Combined<N>> {
+    let Part { mut information, mut slope } = *prior;
     for part in parts {
         let (w, s) = softened(part, scatter)?;
         information += w;

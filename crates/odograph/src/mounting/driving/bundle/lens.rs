@@ -1,7 +1,7 @@
 //! Distortion parameters as unknowns of the bundle adjustment.
 
 use super::LENS_START;
-use crate::camera::uncertainty::{parameter, varied};
+use crate::camera::uncertainty::{ASPECT, parameter, varied};
 use crate::camera::{Camera, Distortion};
 use crate::geometry::Ray;
 use crate::numerics::Part;
@@ -20,10 +20,18 @@ pub struct LensUnknowns {
 /// Half the width of a central difference by a coefficient.
 const STEP: f64 = 1e-5;
 
-/// Prior standard deviation of a parameter, of lengths as a fraction of the focal length: three
-/// times the error of a careless calibration. It only holds parameters that the motion does not
-/// determine.
-const CALIBRATION_SIGMA: f64 = 0.1;
+/// Prior standard deviation of a parameter, of the principal point as a fraction of the focal
+/// length: that of a careless calibration, and of radial coefficients, which may not have been
+/// calibrated at all. It decides what the motion leaves open: straight driving shows a tilt and
+/// errors of principal point and decentering together, but hardly one by one.
+fn calibration_sigma(parameter: &str) -> f64 {
+    match parameter {
+        "cx" | "cy" => 0.01,
+        ASPECT => 0.005,
+        "p1" | "p2" => 0.002,
+        _ => 0.1,
+    }
+}
 
 /// Largest number of parameters.
 pub const MAX_PARAMETERS: usize = 7;
@@ -39,8 +47,8 @@ impl LensUnknowns {
         };
         let all: &[&str] = match distortion {
             Distortion::None => &[],
-            Distortion::BrownConrady { .. } => &["k1", "k2", "cx", "cy", "fy", "p1", "p2"],
-            Distortion::KannalaBrandt { .. } => &["k1", "k2", "cx", "cy", "fy"],
+            Distortion::BrownConrady { .. } => &["k1", "k2", "cx", "cy", ASPECT, "p1", "p2"],
+            Distortion::KannalaBrandt { .. } => &["k1", "k2", "cx", "cy", ASPECT],
             Distortion::DoubleSphere { .. } => &["alpha"],
         };
         let size = (camera.width(), camera.height());
@@ -112,11 +120,9 @@ impl LensUnknowns {
     pub fn prior<const N: usize>(&self) -> Part<N> {
         let mut prior = Part::default();
         for (k, change) in self.change.iter().enumerate() {
-            let unit = match self.names.get(k) {
-                Some(&("cx" | "cy" | "fy")) => self.camera.focal_px().0,
-                _ => 1.0,
-            };
-            let variance = (CALIBRATION_SIGMA * unit) * (CALIBRATION_SIGMA * unit);
+            let name = self.names.get(k).copied().unwrap_or_default();
+            let unit = if matches!(name, "cx" | "cy") { self.camera.focal_px().0 } else { 1.0 };
+            let variance = (calibration_sigma(name) * unit).powi(2);
             prior.information[(LENS_START + k, LENS_START + k)] = 1.0 / variance;
             prior.slope[LENS_START + k] = -change / variance;
         }

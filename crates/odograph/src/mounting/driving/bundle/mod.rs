@@ -9,7 +9,7 @@ mod system;
 use super::Group;
 use crate::camera::{Camera, Rig};
 use crate::geometry::GroundPose;
-use crate::numerics::{Part, inverse};
+use crate::numerics::{Combined, Part, combine_with, inverse};
 pub use lens::LensUnknowns;
 use nalgebra::{SVector, Vector2};
 use pair::SolvedPair;
@@ -25,6 +25,8 @@ pub struct Solved<const N: usize> {
     /// The change of each distortion parameter.
     pub lens_change: Vec<f64>,
     pub parts: Vec<Part<N>>,
+    /// What is known of them without any keyframe.
+    pub prior: Part<N>,
     pub pairs: usize,
     pub rms_px: f64,
 }
@@ -52,11 +54,13 @@ pub const TILT: usize = 2;
 pub const LENS_START: usize = TILT;
 
 pub fn solve<'a, const N: usize>(
-    camera: &Camera,
+    (camera, lens_change): (&Camera, &[f64]),
     groups: impl ExactSizeIterator<Item = &'a Group>,
     start: &Rig,
 ) -> Option<Solved<N>> {
-    let mut bundle = PairBundle::<N>::begin(camera, groups, start)?;
+    let mut lens = LensUnknowns::new(camera, N.saturating_sub(LENS_START))?;
+    lens.add_change(lens_change)?;
+    let mut bundle = PairBundle::<N>::begin(lens, groups, start)?;
     for iteration in 0..MAX_ITERATIONS {
         let step = bundle.step(iteration)?;
         if iteration > ROBUST_ITERATIONS && step.norm() < CONVERGED {
@@ -78,9 +82,12 @@ struct PairBundle<'a, const N: usize> {
 }
 
 impl<'a, const N: usize> PairBundle<'a, N> {
-    fn begin(camera: &Camera, groups: impl ExactSizeIterator<Item = &'a Group>, start: &Rig) -> Option<Self> {
+    fn begin(
+        lens: LensUnknowns,
+        groups: impl ExactSizeIterator<Item = &'a Group>,
+        start: &Rig,
+    ) -> Option<Self> {
         let tilt = Vector2::new(start.roll_rad, start.pitch_rad);
-        let lens = LensUnknowns::new(camera, N.saturating_sub(LENS_START))?;
         let keyframe_tilts = vec![Vector2::zeros(); groups.len()];
         let pairs = groups
             .enumerate()
@@ -182,6 +189,7 @@ impl<'a, const N: usize> PairBundle<'a, N> {
             pitch_rad: self.tilt[1],
             lens_change: self.lens.change().to_vec(),
             parts,
+            prior: self.lens.prior(),
             pairs,
             rms_px: (squares / f64::max(kept, 1.0)).sqrt(),
         }
@@ -197,6 +205,11 @@ impl<const N: usize> Part<N> {
 }
 
 impl<const N: usize> Solved<N> {
+    /// All keyframes together. `None` if they and the prior do not determine every unknown.
+    pub fn combined(&self) -> Option<Combined<N>> {
+        combine_with(&self.parts, &self.prior)
+    }
+
     /// The same equations with all but the first `M` common unknowns held at their given values.
     pub fn restricted<const M: usize>(&self) -> Solved<M> {
         let given = SVector::from_fn(|k, _| k.checked_sub(LENS_START).map_or(0.0, |k| -self.lens_change[k]));
@@ -205,6 +218,7 @@ impl<const N: usize> Solved<N> {
             pitch_rad: self.pitch_rad,
             lens_change: self.lens_change[..M - LENS_START].to_vec(),
             parts: self.parts.iter().map(|part| part.with_known::<M>(&given)).collect(),
+            prior: self.prior.with_known::<M>(&given),
             pairs: self.pairs,
             rms_px: self.rms_px,
         }
@@ -212,6 +226,6 @@ impl<const N: usize> Solved<N> {
 }
 
 /// Pose of a first view; its height is the unit of length.
-fn first_pose(tilt: &Vector2<f64>) -> GroundPose {
+pub fn first_pose(tilt: &Vector2<f64>) -> GroundPose {
     GroundPose { roll_rad: tilt[0], pitch_rad: tilt[1], ..GroundPose::level(1.0) }
 }
