@@ -27,8 +27,8 @@ pub struct LensMeasurement {
     /// Largest difference from the calibration at the edge of the image, pixels.
     pub off_px: f64,
     /// Standard deviation there of where a ground point is seen with the estimates of lens and
-    /// tilt, pixels. What a tilt makes up for does not matter, and a shift of the whole image hardly
-    /// does.
+    /// tilt, pixels. What a tilt makes up for does not matter, and a shift of the whole image
+    /// hardly does.
     pub deviation_px: f64,
     /// Standard deviation between keyframes beyond the noise of the tracks, pixels at the edge of
     /// the image. A large one shows that the cause is not the lens.

@@ -188,7 +188,8 @@ impl CalibrationMonitor {
         let (used, explains) = (&self.in_use, self.driven.explains(&tilt));
         let lens = lens.filter(|_| explains);
         // What the motion leaves open between tilt and lens is in both estimates.
-        let goes_with_lens = lens.is_some() && self.off(&tilt).norm() >= MIN_TILT_RAD;
+        let goes_with_lens =
+            lens.is_some() && self.off(&tilt).norm() >= MIN_TILT_RAD && self.is_steady(&tilt);
         let tilt = Some(tilt).filter(|tilt| {
             goes_with_lens
                 || explains && self.differs_significantly(tilt)
@@ -238,7 +239,6 @@ impl CalibrationMonitor {
     /// Whether a tilt differs from the given one significantly, steadily and by enough to matter.
     fn differs_significantly(&self, found: &TiltMeasurement) -> bool {
         let off = self.off(found);
-        let [roll, pitch] = found.scatter_rad;
         let certainty =
             found.covariance.try_inverse().map_or(0.0, |information| off.dot(&(information * off)));
         let level = self.given.roll_rad == 0.0 && self.given.pitch_rad == 0.0;
@@ -246,7 +246,13 @@ impl CalibrationMonitor {
         found.observability == Observability::Full
             && off.norm() >= least_rad
             && certainty >= MIN_SIGMAS * MIN_SIGMAS
-            && roll.hypot(pitch) < MAX_SCATTER * off.norm()
+            && self.is_steady(found)
+    }
+
+    /// Whether a tilt scatters little beside its difference from the given one.
+    fn is_steady(&self, found: &TiltMeasurement) -> bool {
+        let [roll, pitch] = found.scatter_rad;
+        roll.hypot(pitch) < MAX_SCATTER * self.off(found).norm()
     }
 }
 
