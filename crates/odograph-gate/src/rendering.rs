@@ -2,7 +2,7 @@
 
 use crate::clip::Clip;
 use crate::compression;
-use crate::rows::{BenchmarkRow, camera};
+use crate::rows::{BenchmarkRow, camera, careless};
 use odograph::camera::Rig;
 use odograph::error::{Error, Result};
 use odograph::trajectory::{StampedPose, Trajectory};
@@ -24,8 +24,9 @@ pub fn render(row: &BenchmarkRow, seed: u64) -> Result<Clip> {
         seed: 1000 + seed,
     })?;
     let readout_s = row.readout_is_given.then_some(row.effects.readout_s);
+    let given = camera(row.size_px)?.with_readout_s(readout_s)?;
     let mut clip = Clip {
-        camera: camera(row.size_px)?.with_readout_s(readout_s)?,
+        camera: if row.lens_is_careless { careless(&given)? } else { given },
         rig: row.given_rig,
         frames: Vec::with_capacity(simulation.len()),
         truth: Trajectory::default(),

@@ -45,6 +45,8 @@ pub struct BenchmarkRow {
     pub rig: Rig,
     /// Mount given to the odometry.
     pub given_rig: Rig,
+    /// Whether the odometry is given a careless calibration of the lens ([`careless`]).
+    pub lens_is_careless: bool,
     /// Whether the odometry is given the readout time of the rolling shutter.
     pub readout_is_given: bool,
     /// Quantisation parameter of H.264, 0 to 51; `None` for uncompressed recordings.
@@ -69,6 +71,21 @@ pub fn camera((width, height): (usize, usize)) -> Result<Camera> {
     let distortion = Distortion::from_opencv(&[-0.12, 0.03, 0.0005, -0.0003]).unwrap_or(Distortion::None);
     let centre = (321.0 * share, 238.5 * share);
     Camera::new((width, height), (500.0 * share, 500.0 * share), centre, distortion)
+}
+
+/// A camera as a careless calibration has it: its principal point is off by a hundredth of the
+/// focal length, its decentering by 0.002, its first radial coefficient by 0.01.
+pub fn careless(camera: &Camera) -> Result<Camera> {
+    let ((focal_px, _), (cx, cy)) = (camera.focal_px(), camera.principal_px());
+    let distortion = match *camera.distortion() {
+        Distortion::BrownConrady { k1, k2, p1, p2, k3, k4, k5, k6 } => {
+            Distortion::BrownConrady { k1: k1 + 0.01, k2, p1: p1 + 0.002, p2: p2 - 0.002, k3, k4, k5, k6 }
+        }
+        other => other,
+    };
+    let centre = (cx - 0.01 * focal_px, cy + 0.01 * focal_px);
+    let careless = Camera::new((camera.width(), camera.height()), camera.focal_px(), centre, distortion)?;
+    careless.with_readout_s(camera.readout_s())
 }
 
 /// A random walk with continuous turning, different for every seed.
@@ -121,6 +138,7 @@ pub fn clean() -> BenchmarkRow {
         fps: 30.0,
         rig: Rig::level(HEIGHT_M),
         given_rig: Rig::level(HEIGHT_M),
+        lens_is_careless: false,
         readout_is_given: false,
         h264_qp: None,
         alteration: None,
@@ -198,6 +216,8 @@ pub fn rows() -> Vec<BenchmarkRow> {
         BenchmarkRow { name: "tilt-unknown", rig: tilted, ..clean() },
         BenchmarkRow { name: "tilt-unknown-live", rig: tilted, follow: Follow::Live, ..clean() },
         BenchmarkRow { name: "height-told-2pct-low", given_rig: Rig::level(0.98 * HEIGHT_M), ..clean() },
+        BenchmarkRow { name: "lens-careless", lens_is_careless: true, ..clean() },
+        BenchmarkRow { name: "lens-careless-ahead", path: ahead, lens_is_careless: true, ..clean() },
         BenchmarkRow { texture: "grass", ..with("hand-held", hand_held.clone()) },
         BenchmarkRow { texture: "grass", ..small("hand-held-small", hand_held) },
         BenchmarkRow {

@@ -15,7 +15,7 @@ use crate::camera::{Camera, Distortion, PosedCamera, Rig};
 use crate::error::Result;
 use crate::geometry::{GroundPose, Pixel};
 use crate::numerics::Combined;
-use nalgebra::{DMatrix, DVector, Vector2};
+use nalgebra::{DMatrix, DVector, Matrix2, Vector2};
 
 /// The lens as estimated while driving.
 #[derive(Debug, Clone, PartialEq)]
@@ -30,6 +30,8 @@ pub struct LensMeasurement {
     /// tilt, pixels. What a tilt makes up for does not matter, and a shift of the whole image
     /// hardly does.
     pub deviation_px: f64,
+    /// The tilt that moves ground points as far, radians.
+    pub deviation_as_tilt_rad: f64,
     /// Standard deviation between keyframes beyond the noise of the tracks, pixels at the edge of
     /// the image. A large one shows that the cause is not the lens.
     pub scatter_px: f64,
@@ -136,14 +138,28 @@ impl LensMeasurement {
             }));
         }
         let mean = shifts.iter().sum::<DMatrix<f64>>() / shifts.len().max(1) as f64;
-        let deviation_px = shifts.iter().map(|by| spread(&(by - &mean), &together)).fold(0.0, f64::max);
+        let most = |variance: &DMatrix<f64>| {
+            shifts.iter().map(|by| spread(&(by - &mean), variance)).fold(0.0, f64::max)
+        };
+        let deviation_px = most(&together);
+        let of_tilt = DMatrix::from_fn(with_tilt, with_tilt, |i, k| f64::from(u8::from(i == k && i < TILT)));
+        let px_per_rad = most(&of_tilt);
         let deviations = covariance.diagonal().map(f64::sqrt);
         let coefficients = lens.coefficients().zip(&deviations);
         let coefficients = coefficients
             .map(|((name, value), &deviation)| LensCoefficient { name, value, deviation })
             .collect();
+        let deviation_as_tilt_rad = if px_per_rad > 0.0 { deviation_px / px_per_rad } else { 0.0 };
         let camera = lens.camera().clone();
-        Some(Self { camera, coefficients, off_px, deviation_px, scatter_px, significance })
+        Some(Self {
+            camera,
+            coefficients,
+            off_px,
+            deviation_px,
+            deviation_as_tilt_rad,
+            scatter_px,
+            significance,
+        })
     }
 }
 
@@ -160,8 +176,9 @@ fn edge(camera: &Camera) -> impl Iterator<Item = Pixel> {
 pub struct SelfCalibration {
     /// The tilt if the lens is as calibrated.
     pub tilt: TiltMeasurement,
-    /// The lens and the tilt estimated with it, whose covariance is that given this lens; `None` if
-    /// the motion does not determine it.
+    /// The lens and the tilt estimated with it, whose covariance is that given this lens and what
+    /// of the lens is not known moves ground points as a tilt would; `None` if the motion does not
+    /// determine it.
     pub lens: Option<(LensMeasurement, TiltMeasurement)>,
 }
 
@@ -234,9 +251,11 @@ impl DrivenTilt {
             .zip(combined.offset.iter().skip(LENS_START))
             .map(|(a, b)| a + b)
             .collect();
-        let tilt = self.tilt(solved, &combined.given_the_last::<TILT>()?).ok()?;
+        let mut tilt = self.tilt(solved, &combined.given_the_last::<TILT>()?).ok()?;
         let mount = bundle::first_pose(&Vector2::new(tilt.roll_rad, tilt.pitch_rad));
-        Some((LensMeasurement::new(&self.camera, &change, &combined, &mount)?, tilt))
+        let lens = LensMeasurement::new(&self.camera, &change, &combined, &mount)?;
+        tilt.covariance += Matrix2::from_diagonal_element(lens.deviation_as_tilt_rad.powi(2));
+        Some((lens, tilt))
     }
 }
 
