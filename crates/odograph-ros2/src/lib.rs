@@ -1,7 +1,7 @@
 //! # odograph-ros2
 //!
 //! A door to ROS 2 without a ROS installation: images and other sensors from its topics into a live
-//! run, and odometry, transforms, path and diagnostics of the run to its topics.
+//! run, and odometry, transforms, path, ground and diagnostics of the run to its topics.
 //!
 //! ROS 2 talks DDS; this crate does so with RustDDS, under the names, types and qualities of
 //! service that ROS 2 gives to topics. Messages are read by `odograph-video`, as those of a
@@ -17,13 +17,14 @@
 //! let topic: TopicName = "/camera/image_raw".parse()?;
 //! let mut images = Images::of(&node, ImageOptions::new(topic))?;
 //! let run = RunBuilder::new("ros2:/camera/image_raw").camera(images.camera(&())?).height_m(0.9);
+//! let options = LiveOptions { shown: true, mosaic: true, ..LiveOptions::default() };
 //! let mut link = None;
-//! let run = run.open_live_over(&LiveOptions::default(), &(), |_, watch| {
+//! let run = run.open_live_over(&options, &(), |_, watch| {
 //!     let source = images.source(watch.clone(), &())?;
 //!     link = Some(source.link());
 //!     Ok(LiveInput { source: Box::new(source), policy: Policy::NewestWins })
 //! })?;
-//! let mut publisher = RunPublisher::new(&node, &PublisherOptions::default(), link)?;
+//! let mut publisher = RunPublisher::new(&node, &PublisherOptions::default(), link, run.hub())?;
 //! run.follow(Some(&mut publisher), &())?;
 //! # Ok::<(), odograph::error::Error>(())
 //! ```
@@ -34,6 +35,8 @@
 mod names;
 mod payload;
 mod node;
+mod topic;
+mod ground;
 mod link;
 mod sensors;
 mod listening;

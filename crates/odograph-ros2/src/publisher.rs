@@ -1,21 +1,22 @@
 //! What is published of a run.
 
+use crate::ground::GroundPublisher;
 use crate::link::Link;
 use crate::names::TopicName;
 use crate::node::{Delivery, Node};
 use crate::path::SparsePath;
-use crate::payload::{Payload, PayloadWriter};
+use crate::topic::{KEPT, Topic, now_ns};
 use nalgebra::Isometry3;
 use odograph::error::Result;
 use odograph::pose_frame::PoseFrame;
 use odograph::trajectory::TrackStatus;
+use odograph_live::Hub;
 use odograph_session::live::{LiveFrame, PoseSink};
 use odograph_session::ros_messages::{self, CAMERA, Diagnostic, MAP, ODOM, Severity};
-use rustdds::TopicDescription;
 use std::sync::atomic::{AtomicBool, Ordering};
 use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
 use std::thread::{self, JoinHandle};
-use std::time::{Duration, Instant, SystemTime, UNIX_EPOCH};
+use std::time::{Duration, Instant};
 
 /// A part of what is published.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
@@ -30,6 +31,10 @@ pub enum Part {
     Path,
     /// `diagnostic_msgs/DiagnosticArray` on `/diagnostics`.
     Diagnostics,
+    /// `nav_msgs/OccupancyGrid` on `/odograph/grid`.
+    Grid,
+    /// `sensor_msgs/CompressedImage` on `/odograph/mosaic/compressed`, and its georeference.
+    Mosaic,
 }
 
 /// What is published, and where.
@@ -54,18 +59,12 @@ impl Default for PublisherOptions {
     }
 }
 
-/// Messages that a reliable topic keeps until all who listen have them. A listener that was killed
-/// counts until its lease ends, mostly after 10 s, and no more than these are sent to the others:
-/// enough for 200 Hz.
-const KEPT: i32 = 2000;
 /// Interval of the path, and of diagnostics that do not change.
 const SECOND: Duration = Duration::from_secs(1);
 /// Age of the newest frame from which the state is stale.
 const STALE_AFTER: Duration = Duration::from_secs(2);
 /// What there is to say after the last frame.
 const ENDED: &str = "the run has ended";
-/// Longest wait until the last messages are delivered.
-const LAST: Duration = Duration::from_millis(300);
 /// Interval at which the watch for missing images wakes.
 const STEP: Duration = Duration::from_millis(100);
 
@@ -81,50 +80,21 @@ pub struct RunPublisher {
     has_map_transform: bool,
     path: Option<(Topic, SparsePath, Option<Instant>)>,
     health: Option<Health>,
+    ground: Option<GroundPublisher>,
     /// That of the camera on the robot, as it was published last.
     placed: Option<Isometry3<f64>>,
     /// Last, so that what is sent at the end is sent.
     _node: Node,
 }
 
-/// A topic that is written to.
-struct Topic(PayloadWriter);
-
-impl std::fmt::Debug for Topic {
-    fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
-        f.write_str(&self.0.topic().name())
-    }
-}
-
-impl Topic {
-    fn new(node: &Node, name: &str, type_name: &str, delivery: Delivery, depth: i32) -> Result<Self> {
-        node.writer(&name.parse()?, type_name, delivery, depth).map(Self)
-    }
-
-    /// Sends a message. One that cannot be sent at once is lost: newer ones follow.
-    fn send(&self, message: Vec<u8>) {
-        let _ = self.0.write(Payload(message), None);
-    }
-
-    /// Waits until those who listen have what was sent.
-    fn wait(&self) {
-        let _ = self.0.wait_for_acknowledgments(LAST);
-    }
-}
-
-/// The time of the clock, nanoseconds.
-fn now_ns() -> u64 {
-    let since = SystemTime::now().duration_since(UNIX_EPOCH).unwrap_or_default();
-    u64::try_from(since.as_nanos()).unwrap_or(u64::MAX)
-}
-
 impl RunPublisher {
     /// Announces the topics. Of images of ROS 2 the link has the times and the frame; those of
-    /// other sources are stamped by the clock.
+    /// other sources are stamped by the clock. The hub is that of the run: its ground is published
+    /// if the run keeps it up to date there.
     ///
     /// # Errors
     /// If a topic cannot be announced.
-    pub fn new(node: &Node, options: &PublisherOptions, link: Option<Link>) -> Result<Self> {
+    pub fn new(node: &Node, options: &PublisherOptions, link: Option<Link>, hub: &Arc<Hub>) -> Result<Self> {
         let has = |part: Part| !options.without.contains(&part);
         let topic =
             |name: &str, type_name: &str, delivery, depth| Topic::new(node, name, type_name, delivery, depth);
@@ -146,6 +116,7 @@ impl RunPublisher {
             has_map_transform,
             path: has(Part::Path).then(path).transpose()?.map(|topic| (topic, SparsePath::default(), None)),
             health: has(Part::Diagnostics).then(|| Health::new(node, link.clone())).transpose()?,
+            ground: GroundPublisher::new(node, hub, has(Part::Grid), has(Part::Mosaic))?,
             link,
             placed: None,
             _node: node.clone(),
@@ -199,6 +170,9 @@ impl PoseSink for RunPublisher {
         let time_ns = stamp_ns.unwrap_or_else(|| now_ns().saturating_sub((1e6 * frame.latency_ms) as u64));
         self.publish_mount(time_ns, frame.of);
         self.publish_pose(time_ns, frame);
+        if let Some(ground) = &self.ground {
+            ground.set_time(time_ns);
+        }
         if let Some(health) = &self.health {
             health.update(time_ns, frame);
         }

@@ -1,5 +1,7 @@
 """A robot in ROS 2, made of Cyclone DDS alone, and the program beside it."""
 
+import csv
+import json
 import math
 import os
 import re
@@ -168,3 +170,31 @@ def matched(writer, count=1):
 def heading(quaternion):
     q = quaternion
     return math.atan2(2 * (q.w * q.z + q.x * q.y), 1 - 2 * (q.y * q.y + q.z * q.z))
+
+
+def odograph(folder, arguments):
+    command = [os.environ["ODOGRAPH"], *arguments.split()]
+    subprocess.run(command, cwd=folder, check=True, capture_output=True)
+
+
+def poses(path):
+    with open(path, encoding="utf-8") as file:
+        return [row for row in csv.DictReader(file) if row["x_m"]]
+
+
+def given(simulated):
+    return f"--camera {simulated}/sim/camera.yaml --rig {simulated}/sim/rig.toml"
+
+
+def statistics(folder):
+    return json.loads((folder / "live/stats.json").read_text())
+
+
+def ended(program, recording, odometry):
+    """Interrupts the run when its last frame has been published; what it has said."""
+    last = recording.time_ns(len(recording.frames) - 1)
+    until(lambda: odometry and stamp_ns(odometry[-1][1]) == last, what="the last odometry")
+    program.interrupt()
+    code, said = program.end()
+    assert code == 0, said
+    return said

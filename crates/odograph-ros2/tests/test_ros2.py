@@ -1,8 +1,5 @@
 """The program with ROS 2 beside Cyclone DDS, on rendered frames: run in a network of its own."""
 
-import csv
-import itertools
-import json
 import math
 import struct
 import subprocess
@@ -11,73 +8,24 @@ import time
 import zlib
 
 import messages as ros
-import pytest
 from robot import (
     BEGAN_NS,
     LATCHED,
     RELIABLE,
     Program,
-    Recording,
     Robot,
+    ended,
+    given,
     heading,
     header,
     matched,
     os,
     play,
+    poses,
     stamp_ns,
+    statistics,
     until,
 )
-
-
-def odograph(folder, arguments):
-    command = [os.environ["ODOGRAPH"], *arguments.split()]
-    subprocess.run(command, cwd=folder, check=True, capture_output=True)
-
-
-@pytest.fixture(scope="session")
-def simulated(tmp_path_factory):
-    folder = tmp_path_factory.mktemp("simulated")
-    options = "--size 320x240 --path eight --duration 6 -q"
-    odograph(folder, f"simulate -o sim --format y4m {options}")
-    odograph(folder, f"simulate -o jpeg --format mjpeg {options}")
-    odograph(folder, "run sim/sim.y4m --camera sim/camera.yaml --rig sim/rig.toml -o run -q")
-    return folder
-
-
-@pytest.fixture
-def recording(simulated):
-    return Recording(simulated / "sim/sim.y4m")
-
-
-@pytest.fixture
-def robot(domains=itertools.count(40)):
-    # No test hears another one.
-    robot = Robot(next(domains))
-    yield robot
-    robot.close()
-
-
-def poses(path):
-    with open(path, encoding="utf-8") as file:
-        return [row for row in csv.DictReader(file) if row["x_m"]]
-
-
-def given(simulated):
-    return f"--camera {simulated}/sim/camera.yaml --rig {simulated}/sim/rig.toml"
-
-
-def statistics(folder):
-    return json.loads((folder / "live/stats.json").read_text())
-
-
-def ended(program, recording, odometry):
-    """Interrupts the run when its last frame has been published; what it has said."""
-    last = recording.time_ns(len(recording.frames) - 1)
-    until(lambda: odometry and stamp_ns(odometry[-1][1]) == last, what="the last odometry")
-    program.interrupt()
-    code, said = program.end()
-    assert code == 0, said
-    return said
 
 
 def is_where_the_run_was(message, simulated):

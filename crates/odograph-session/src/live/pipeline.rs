@@ -72,7 +72,7 @@ pub fn follow(
     sinks: LiveSinks<'_, '_>,
     ending: &Ending<'_>,
 ) -> Result<RunOutcome> {
-    let LiveSinks { poses, log } = sinks;
+    let LiveSinks { poses, log, shown } = sinks;
     let mut following = Following {
         tracker,
         frames: KeptFrames::new(recorder.path()),
@@ -85,7 +85,7 @@ pub fn follow(
         observer: ending.observer,
         log,
         hub,
-        shown: ground.is_shown(),
+        shown,
         gnss: &gnss,
         fusion,
         told: None,
@@ -132,7 +132,7 @@ pub fn follow(
     tracked.warnings.extend(left_out);
     let ending = Ending { sensors: &sensors, gnss: gnss.as_ref(), ..*ending };
     let outcome = finish(plan, tracked, &mut folder, &ending)?;
-    if ground.is_shown() {
+    if shown {
         show_results(hub, ground, folder.path());
     }
     let failure = log.and_then(McapLog::take_failure);
@@ -202,7 +202,7 @@ struct Following<'a, 'p> {
     observer: &'a dyn Observer,
     log: Option<&'a McapLog>,
     hub: &'a Hub,
-    /// Whether there may be viewers.
+    /// Whether the path is kept in the hub.
     shown: bool,
     gnss: &'a LiveGnss,
     fusion: LiveFusion,

@@ -126,7 +126,8 @@ pub fn live(arguments: LiveArguments) -> Result<Outcome> {
     let NamedSensors { files, received, gnss } = arguments.sensors.named(&arguments.source)?;
     let options = LiveOptions {
         capture: arguments.capture.options(),
-        shown: arguments.serve.serve.is_some(),
+        shown: arguments.serve.serve.is_some() || arguments.ros2.publishes(),
+        mosaic: arguments.serve.serve.is_some() || arguments.ros2.publishes_ground(),
         mcap: arguments.mcap.clone(),
         gnss,
         sensors: received,

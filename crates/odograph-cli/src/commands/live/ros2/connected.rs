@@ -28,6 +28,8 @@ impl From<Ros2Part> for Part {
             Ros2Part::CameraTf => Self::CameraTransform,
             Ros2Part::Path => Self::Path,
             Ros2Part::Diagnostics => Self::Diagnostics,
+            Ros2Part::Grid => Self::Grid,
+            Ros2Part::Mosaic => Self::Mosaic,
         }
     }
 }
@@ -102,7 +104,7 @@ impl Ros2Run {
         let Some(mut images) = images else {
             let run = run.sensors(sensors).open_live(options, observer)?;
             if let Some(publishing) = publishing {
-                outputs.publish_with(RunPublisher::new(&node, &publishing, None)?);
+                outputs.publish_with(RunPublisher::new(&node, &publishing, None, run.hub())?);
             }
             return Ok(run);
         };
@@ -124,7 +126,7 @@ impl Ros2Run {
             Ok(LiveInput { source: Box::new(source), policy: Policy::NewestWins })
         })?;
         if let Some(publishing) = publishing {
-            outputs.publish_with(RunPublisher::new(&node, &publishing, link)?);
+            outputs.publish_with(RunPublisher::new(&node, &publishing, link, run.hub())?);
         }
         Ok(run)
     }
