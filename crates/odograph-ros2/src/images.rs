@@ -97,6 +97,12 @@ impl Images {
         Ok(Self { listening, options, domain, began, first: None })
     }
 
+    /// Forgets what has come so far, and how long it has been waited for.
+    pub fn begin_again(&mut self) {
+        while let Taken::Item(_) = self.listening.images().take(Duration::ZERO) {}
+        (self.began, self.first) = (Instant::now(), None);
+    }
+
     /// Waits until `look` finds something. The observer hears what is waited for, and may end it.
     fn wait<T>(
         &self,

@@ -47,7 +47,12 @@ const NAME: &str = "odograph";
 
 /// Descriptions of the node that are kept for those who come later: one for each endpoint, since a
 /// new one is refused while as many are not delivered.
-const GRAPHS_KEPT: i32 = 20;
+const GRAPHS_KEPT: i32 = 64;
+
+/// Requests that wait for an answer.
+const REQUESTS_KEPT: i32 = 10;
+/// Replies that wait for clients, among which some may have been killed.
+const REPLIES_KEPT: i32 = 100;
 
 /// Largest domain that the port numbers of DDS have room for.
 const LARGEST_DOMAIN: u16 = 232;
@@ -148,14 +153,41 @@ impl Node {
         delivery: Delivery,
         depth: i32,
     ) -> Result<PayloadReader> {
-        let qos = delivery.qos(depth);
-        let dds =
-            self.0.participant.create_topic(topic.in_dds(), type_in_dds(type_name), &qos, TopicKind::NoKey);
-        let reader = dds
-            .and_then(|dds| self.0.subscriber.create_datareader_no_key(&dds, Some(qos)))
-            .map_err(unavailable)?;
+        let reader = self.reader_of(topic.in_dds(), type_name, delivery, depth)?;
         self.announce(|graph| graph.readers.push(RTPSEntity::guid(&reader).to_bytes()));
         Ok(reader)
+    }
+
+    fn reader_of(
+        &self,
+        topic: String,
+        type_name: &str,
+        delivery: Delivery,
+        depth: i32,
+    ) -> Result<PayloadReader> {
+        let qos = delivery.qos(depth);
+        let topic = self.0.participant.create_topic(topic, type_in_dds(type_name), &qos, TopicKind::NoKey);
+        topic
+            .and_then(|topic| self.0.subscriber.create_datareader_no_key(&topic, Some(qos)))
+            .map_err(unavailable)
+    }
+
+    /// A reader of the requests of a service, and a writer of its replies.
+    pub(crate) fn service(
+        &self,
+        name: &TopicName,
+        type_name: &str,
+    ) -> Result<(PayloadReader, PayloadWriter)> {
+        let [requests, replies] = name.service_in_dds();
+        let (request, response) = (format!("{type_name}_Request"), format!("{type_name}_Response"));
+        let reader = self.reader_of(requests, &request, Delivery::Reliable, REQUESTS_KEPT)?;
+        let NodeState { participant, publisher, .. } = &*self.0;
+        let writer = writer(participant, publisher, replies, &response, Delivery::Reliable, REPLIES_KEPT)?;
+        self.announce(|graph| {
+            graph.readers.push(RTPSEntity::guid(&reader).to_bytes());
+            graph.writers.push(RTPSEntity::guid(&writer).to_bytes());
+        });
+        Ok((reader, writer))
     }
 
     /// A writer of a topic that keeps a few messages.

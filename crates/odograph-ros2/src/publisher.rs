@@ -5,13 +5,13 @@ use crate::link::Link;
 use crate::names::TopicName;
 use crate::node::{Delivery, Node};
 use crate::path::SparsePath;
+use crate::services::Services;
 use crate::topic::{KEPT, Topic, now_ns};
 use nalgebra::Isometry3;
 use odograph::error::Result;
 use odograph::pose_frame::PoseFrame;
 use odograph::trajectory::TrackStatus;
-use odograph_live::Hub;
-use odograph_session::live::{LiveFrame, PoseSink};
+use odograph_session::live::{LiveFrame, LiveRun, PoseSink};
 use odograph_session::ros_messages::{self, CAMERA, Diagnostic, MAP, ODOM, Severity};
 use std::sync::atomic::{AtomicBool, Ordering};
 use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
@@ -74,13 +74,12 @@ pub struct RunPublisher {
     link: Option<Link>,
     camera: String,
     odometry: Topic,
-    transforms: Option<Topic>,
+    transforms: Topic,
     static_transforms: Option<Topic>,
-    has_odom_transform: bool,
-    has_map_transform: bool,
     path: Option<(Topic, SparsePath, Option<Instant>)>,
     health: Option<Health>,
     ground: Option<GroundPublisher>,
+    services: Services,
     /// That of the camera on the robot, as it was published last.
     placed: Option<Isometry3<f64>>,
     /// Last, so that what is sent at the end is sent.
@@ -89,35 +88,39 @@ pub struct RunPublisher {
 
 impl RunPublisher {
     /// Announces the topics. Of images of ROS 2 the link has the times and the frame; those of
-    /// other sources are stamped by the clock. The hub is that of the run: its ground is published
-    /// if the run keeps it up to date there.
+    /// other sources are stamped by the clock. The services are for the run from now on; its ground
+    /// is published if the run keeps it up to date in its hub.
     ///
     /// # Errors
     /// If a topic cannot be announced.
-    pub fn new(node: &Node, options: &PublisherOptions, link: Option<Link>, hub: &Arc<Hub>) -> Result<Self> {
+    pub fn new(
+        node: &Node,
+        options: &PublisherOptions,
+        link: Option<Link>,
+        services: Services,
+        run: &LiveRun,
+    ) -> Result<Self> {
         let has = |part: Part| !options.without.contains(&part);
         let topic =
             |name: &str, type_name: &str, delivery, depth| Topic::new(node, name, type_name, delivery, depth);
         let transforms = "tf2_msgs/msg/TFMessage";
-        let (has_odom_transform, has_map_transform) = (has(Part::OdomTransform), has(Part::MapTransform));
         let is_placed = options.camera_is_placed || !has(Part::CameraTransform);
         let path = || topic(PATH, "nav_msgs/msg/Path", Delivery::Latched, 1);
         let frame = link.as_ref().map(Link::frame).filter(|frame| !frame.is_empty());
+        let camera = frame.unwrap_or(CAMERA).to_owned();
+        services.serve(run, &camera, has(Part::OdomTransform), has(Part::MapTransform));
         Ok(Self {
-            camera: frame.unwrap_or(CAMERA).to_owned(),
+            camera,
             odometry: topic(options.odometry.as_str(), "nav_msgs/msg/Odometry", Delivery::Reliable, KEPT)?,
-            transforms: (has_odom_transform || has_map_transform)
-                .then(|| topic("/tf", transforms, Delivery::Reliable, KEPT))
-                .transpose()?,
+            transforms: topic("/tf", transforms, Delivery::Reliable, KEPT)?,
             static_transforms: (!is_placed)
                 .then(|| topic("/tf_static", transforms, Delivery::Latched, 1))
                 .transpose()?,
-            has_odom_transform,
-            has_map_transform,
             path: has(Part::Path).then(path).transpose()?.map(|topic| (topic, SparsePath::default(), None)),
             health: has(Part::Diagnostics).then(|| Health::new(node, link.clone())).transpose()?,
-            ground: GroundPublisher::new(node, hub, has(Part::Grid), has(Part::Mosaic))?,
+            ground: GroundPublisher::new(node, run.hub(), has(Part::Grid), has(Part::Mosaic))?,
             link,
+            services,
             placed: None,
             _node: node.clone(),
         })
@@ -134,14 +137,14 @@ impl RunPublisher {
         let corrected = frame.map_from_odometry.apply_to_pose(&known.pose);
         let map_from_odom = frame.of.world_from_frame(&corrected) * placed.inverse();
         let mut moved = Vec::new();
-        if self.has_map_transform {
+        if self.services.publishes_map() {
             moved.push((MAP, ODOM, map_from_odom));
         }
-        if self.has_odom_transform {
+        if self.services.publishes_odom() {
             moved.push((ODOM, child, placed));
         }
-        if let Some(transforms) = &self.transforms {
-            transforms.send(ros_messages::transforms(time_ns, &moved));
+        if !moved.is_empty() {
+            self.transforms.send(ros_messages::transforms(time_ns, &moved));
         }
         if let Some((topic, path, sent)) = &mut self.path {
             path.add(time_ns, placed);
@@ -170,6 +173,7 @@ impl PoseSink for RunPublisher {
         let time_ns = stamp_ns.unwrap_or_else(|| now_ns().saturating_sub((1e6 * frame.latency_ms) as u64));
         self.publish_mount(time_ns, frame.of);
         self.publish_pose(time_ns, frame);
+        self.services.take(frame);
         if let Some(ground) = &self.ground {
             ground.set_time(time_ns);
         }

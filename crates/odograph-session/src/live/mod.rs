@@ -37,6 +37,7 @@ mod mcap;
 mod page_layers;
 mod pipeline;
 mod recorder;
+mod saved_map;
 mod sensors;
 mod sinks;
 mod source;
@@ -48,6 +49,7 @@ pub use line_source::LineSource;
 pub use map_graph::{map_graph, map_markers};
 pub use page_layers::show_map_of_run;
 pub use recorder::folder_name_now;
+pub use saved_map::save_map;
 pub use sensors::SensorSources;
 pub use sinks::{LiveFrame, PoseSink};
 pub use source::{CaptureOptions, LiveInput, open_live_input};
@@ -264,6 +266,11 @@ impl LiveRun {
     /// Where the results will be.
     pub fn folder(&self) -> &Path {
         self.folder.path()
+    }
+
+    /// The map file that the run makes or continues.
+    pub fn map(&self) -> PathBuf {
+        self.output.map.path().map_or_else(|| self.folder().join("map.gpkg"), Path::to_owned)
     }
 
     /// Follows the source until it ends, or until the observer or the hub asks to stop; then writes

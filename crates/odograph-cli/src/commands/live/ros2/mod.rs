@@ -27,6 +27,9 @@ pub struct Ros2Arguments {
     /// Leave something out of what is published; several with commas.
     #[arg(long, value_name = "PART", value_delimiter = ',', requires = "ros2", hide = !cfg!(feature = "ros2"))]
     pub ros2_without: Vec<Ros2Part>,
+    /// Wait for the service /odograph/start before the run begins.
+    #[arg(long, requires = "ros2", hide = !cfg!(feature = "ros2"))]
+    pub ros2_wait: bool,
     /// Camera of the images (sensor_msgs/CameraInfo), where it is not beside them.
     #[arg(long, value_name = "TOPIC", hide = !cfg!(feature = "ros2"))]
     pub camera_info_topic: Option<String>,
