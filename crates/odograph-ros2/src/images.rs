@@ -342,6 +342,17 @@ impl ImageSource {
         Ok(Some(Frame::new(number, time_s, picture)))
     }
 
+    /// Reports when the images have several publishers.
+    fn count_publishers(&self) {
+        let publishers = self.listening.heard().publishers;
+        if self.link.set_publishers(publishers) && publishers > 1 {
+            self.watch.notice(format!(
+                "{} has {publishers} publishers; the images of one are used, those of the others left out",
+                self.options.topic
+            ));
+        }
+    }
+
     /// Without images for a while: reports it, and fails when patience ends.
     fn miss(&mut self) -> Result<()> {
         let since = self.newest.elapsed();
@@ -362,6 +373,7 @@ impl LiveSource for ImageSource {
 
     fn next_frame(&mut self) -> Result<Option<Captured>> {
         while !self.watch.ended() {
+            self.count_publishers();
             let (arrived, picture) = match self.first.take() {
                 Some((arrived, picture)) => (arrived, Ok(picture)),
                 None => match self.listening.images().take(STEP) {
@@ -408,6 +420,11 @@ impl LiveSource for ImageSource {
             let overtaken = std::mem::take(&mut self.overtaken);
             warnings
                 .push(format!("images left out because their times are not after those before: {overtaken}"));
+        }
+        let of_others = std::mem::take(&mut self.listening.heard().of_others);
+        if of_others > 0 {
+            let name = &self.options.topic;
+            warnings.push(format!("images of another publisher of {name} that were left out: {of_others}"));
         }
         warnings.extend(self.listening.heard().records.iter().filter_map(|(_, record)| record.defect()));
         warnings

@@ -76,6 +76,14 @@ struct Graph {
     writers: Vec<[u8; 16]>,
 }
 
+/// A topic with one of its publishers.
+pub(crate) struct Published {
+    pub name: TopicName,
+    pub type_name: String,
+    /// Identifier of the publisher's writer.
+    pub writer: [u8; 16],
+}
+
 impl std::fmt::Debug for Node {
     fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
         f.debug_struct("Node").field("domain", &self.0.domain).finish_non_exhaustive()
@@ -204,16 +212,18 @@ impl Node {
         Ok(writer)
     }
 
-    /// The topics that others publish at the moment, each with its type, once for each publisher.
-    pub(crate) fn published(&self) -> Vec<(TopicName, String)> {
+    /// The topics that others publish at the moment, once for each publisher.
+    pub(crate) fn published(&self) -> Vec<Published> {
         let writers = self.0.participant.discovered_writers();
         let own = self.0.participant.guid().prefix;
         let others = writers.iter().map(|writer| &writer.publication_topic_data);
         let others = others.filter(|topic| topic.key.prefix != own);
         let named = |topic: &str| TopicName::from_dds(topic);
-        others
-            .filter_map(|topic| Some((named(&topic.topic_name)?, type_from_dds(&topic.type_name))))
-            .collect()
+        let published = others.filter_map(|topic| {
+            let (name, type_name) = (named(&topic.topic_name)?, type_from_dds(&topic.type_name));
+            Some(Published { name, type_name, writer: topic.key.to_bytes() })
+        });
+        published.collect()
     }
 }
 

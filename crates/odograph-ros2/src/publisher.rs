@@ -216,7 +216,8 @@ struct SharedHealth {
 struct HealthState {
     /// That of the newest frame, with its stamp and when it came.
     newest: Option<(u64, Diagnostic, Instant)>,
-    status: Option<TrackStatus>,
+    /// Status and number of publishers of the images, as they were said last.
+    status: Option<(TrackStatus, usize)>,
     /// Why there are no frames, as it was said last.
     stale: Option<&'static str>,
     sent: Option<Instant>,
@@ -242,7 +243,13 @@ impl Health {
         let mut state = self.shared.state();
         let mut diagnostic = Diagnostic::of(frame.estimate);
         diagnostic.values.push(("latency_ms", format!("{:.1}", frame.latency_ms)));
-        let changed = state.status.replace(frame.estimate.status) != Some(frame.estimate.status);
+        let publishers = self.shared.link.as_ref().map_or(0, Link::publishers);
+        if publishers > 1 {
+            diagnostic.severity = Severity::Warning;
+            diagnostic.message += &format!("; the images have {publishers} publishers, and one is used");
+        }
+        let said = (frame.estimate.status, publishers);
+        let changed = state.status.replace(said) != Some(said);
         state.newest = Some((time_ns, diagnostic, Instant::now()));
         if changed {
             self.shared.send(&mut state);

@@ -49,7 +49,7 @@ const MAPPING_QUEUE: usize = 32;
 /// queue is empty: without it the map is faster than keyframes can come.
 const BEHIND: usize = 8;
 
-/// Time for which the page shows what was said about the sensors.
+/// Time for which the page shows what was said about the source or its sensors.
 const SENSORS_TOLD: Duration = Duration::from_secs(20);
 
 /// Inputs of the pipeline.
@@ -206,7 +206,7 @@ struct Following<'a, 'p> {
     shown: bool,
     gnss: &'a LiveGnss,
     fusion: LiveFusion,
-    /// What was last said about the sensors, and when.
+    /// What was last said about the source or its sensors, and when.
     told: Option<(Instant, String)>,
     watch: &'a Watch,
     queue: Arc<Newest<(Captured, Duration)>>,
@@ -374,7 +374,7 @@ impl Following<'_, '_> {
 
     fn send_status(&mut self, phase: Phase) {
         self.status_sent = Some(Instant::now());
-        for sentence in self.fusion.take_news() {
+        for sentence in self.fusion.take_news().into_iter().chain(self.watch.take_notices()) {
             self.observer.warn(&sentence);
             self.told = Some((Instant::now(), sentence));
         }
