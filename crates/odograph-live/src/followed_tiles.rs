@@ -43,3 +43,42 @@ impl<T> FollowedTiles<T> {
         true
     }
 }
+
+#[cfg(test)]
+mod tests {
+    #![allow(clippy::unwrap_used)] // a test fails by panicking
+
+    use super::*;
+    use crate::ground::GroundState;
+
+    /// A map of which a loop closure moves a tile elsewhere.
+    struct Moved(bool);
+
+    impl TiledGround for Moved {
+        fn state(&self) -> Option<GroundState> {
+            Some(GroundState { metres_per_pixel: 0.01, revision: if self.0 { 2 } else { 1 } })
+        }
+
+        fn changed_since(&self, revision: u64) -> Vec<MosaicSquare> {
+            let there = if self.0 { vec![0, 1] } else { vec![0] };
+            let is_new = self.state().unwrap().revision > revision;
+            there.into_iter().filter(|_| is_new).map(|column| MosaicSquare { column, row: 0 }).collect()
+        }
+
+        fn tile_rgba(&self, tile: MosaicSquare) -> Option<Vec<u8>> {
+            (tile.column == i64::from(self.0)).then(|| vec![7])
+        }
+    }
+
+    #[test]
+    fn a_tile_that_a_loop_closure_has_moved_is_forgotten() {
+        let mut tiles = FollowedTiles::default();
+        let mut columns = |ground| {
+            let changed = tiles.update(&Moved(ground), |square, _, rgba| (square.column, rgba[0]));
+            (changed, tiles.made.values().copied().collect::<Vec<_>>())
+        };
+        assert_eq!(columns(false), (true, vec![(0, 7)]));
+        assert_eq!(columns(false), (false, vec![(0, 7)]));
+        assert_eq!(columns(true), (true, vec![(1, 7)]));
+    }
+}

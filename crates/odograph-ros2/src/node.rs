@@ -115,12 +115,17 @@ impl Node {
     /// If `ROS_DOMAIN_ID` is not a domain, or there is no network.
     pub fn join() -> Result<Self> {
         let variable = |name| std::env::var(name).ok();
-        let domain = domain(variable("ROS_DOMAIN_ID").as_deref())?;
-        let mut builder = DomainParticipantBuilder::new(domain);
-        if is_local(
+        let is_local = is_local(
             variable("ROS_LOCALHOST_ONLY").as_deref(),
             variable("ROS_AUTOMATIC_DISCOVERY_RANGE").as_deref(),
-        ) {
+        );
+        Self::joined(domain(variable("ROS_DOMAIN_ID").as_deref())?, is_local)
+    }
+
+    /// Joins a domain, on this machine alone if `is_local`.
+    pub(crate) fn joined(domain: u16, is_local: bool) -> Result<Self> {
+        let mut builder = DomainParticipantBuilder::new(domain);
+        if is_local {
             builder = builder.with_only_networks([IpAddr::V4(Ipv4Addr::LOCALHOST)]);
         }
         let participant = builder.build().map_err(unavailable)?;
@@ -196,6 +201,16 @@ impl Node {
             graph.writers.push(RTPSEntity::guid(&writer).to_bytes());
         });
         Ok((reader, writer))
+    }
+
+    /// A reader of the replies of a service, and a writer of its requests.
+    #[cfg(test)]
+    pub(crate) fn client(&self, name: &TopicName, type_name: &str) -> Result<(PayloadReader, PayloadWriter)> {
+        let [requests, replies] = name.service_in_dds();
+        let (request, response) = (format!("{type_name}_Request"), format!("{type_name}_Response"));
+        let reader = self.reader_of(replies, &response, Delivery::Reliable, REQUESTS_KEPT)?;
+        let NodeState { participant, publisher, .. } = &*self.0;
+        Ok((reader, writer(participant, publisher, requests, &request, Delivery::Reliable, REQUESTS_KEPT)?))
     }
 
     /// A writer of a topic that keeps a few messages.

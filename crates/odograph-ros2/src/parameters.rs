@@ -106,8 +106,8 @@ impl Parameters {
         Some((response, changed))
     }
 
-    /// The names at or below prefixes, all without one, and at most so many levels below: words
-    /// between dots, any number of them for 0.
+    /// The names at or below the prefixes, or all names if there is no prefix. Levels are the words
+    /// between dots; `levels` is the largest number of them below a prefix, 0 for any number.
     fn names(&self, prefixes: &[String], levels: u64) -> Vec<&str> {
         let is_near = |below: &str| levels == 0 || (below.matches('.').count() as u64) < levels;
         let is_wanted = |name: &str| {

@@ -406,3 +406,67 @@ impl Answering {
         Some(message)
     }
 }
+
+#[cfg(test)]
+mod tests {
+    #![allow(clippy::unwrap_used)] // a test fails by panicking
+
+    use super::*;
+    use crate::payload::{Payload, PayloadReader, PayloadWriter};
+    use rustdds::{GUID, RTPSEntity, SampleIdentity, SequenceNumber, WriteOptionsBuilder};
+    use std::time::Instant;
+
+    /// A client as rmw_fastrtps makes one: which request it is stands beside the message.
+    struct Client {
+        requests: PayloadWriter,
+        replies: PayloadReader,
+    }
+
+    impl Client {
+        fn of(node: &Node, name: &str) -> Self {
+            let (replies, requests) =
+                node.client(&format!("{NODE}/{name}").parse().unwrap(), "std_srvs/srv/Trigger").unwrap();
+            Self { requests, replies }
+        }
+
+        /// Calls the service until it answers; the message of the answer.
+        fn call(&mut self) -> Vec<u8> {
+            let reader: GUID = RTPSEntity::guid(&self.replies);
+            let beside = SampleIdentity { writer_guid: reader, sequence_number: SequenceNumber::from(0) };
+            let began = Instant::now();
+            loop {
+                let options = WriteOptionsBuilder::new().related_sample_identity(beside).build();
+                let sent = self.requests.write_with_options(Payload(vec![0, 1, 0, 0, 0]), options).unwrap();
+                for _ in 0..20 {
+                    thread::sleep(STEP);
+                    while let Ok(Some(sample)) = self.replies.take_next_sample() {
+                        let related = sample.sample_info().related_sample_identity();
+                        let expected = SampleIdentity { writer_guid: reader, ..sent };
+                        if related == Some(expected) {
+                            let Payload(message) = sample.into_value();
+                            return message;
+                        }
+                    }
+                }
+                assert!(began.elapsed() < Duration::from_secs(30), "no answer");
+            }
+        }
+    }
+
+    #[test]
+    fn a_client_over_fast_dds_is_answered() {
+        const DOMAIN: u16 = 231;
+        let node = Node::joined(DOMAIN, true).unwrap();
+        let services = Services::announce(&node, "test", true).unwrap();
+        let other = Node::joined(DOMAIN, true).unwrap();
+        let waits = "the run waits for its start: call /odograph/start";
+        // DDS fills a message up to a multiple of four bytes.
+        let reply = Client::of(&other, "mark").call();
+        assert!(reply.starts_with(&ros_messages::trigger_response(false, waits)), "{reply:?}");
+        let mut start = Client::of(&other, "start");
+        // The first answer may have been lost with its call.
+        start.call();
+        assert!(services.wait_for_start(&()).is_ok());
+        assert!(start.call().starts_with(&response(&services.shared.state().start())));
+    }
+}

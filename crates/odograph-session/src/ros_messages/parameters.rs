@@ -111,8 +111,8 @@ pub fn requested_names(request: &[u8]) -> Option<Vec<String>> {
     names(&mut MessageCursor::cdr(request)?)
 }
 
-/// The prefixes in a request for a list, and how many levels of names below them are wanted, 0 for
-/// all; `None` if it is damaged.
+/// The prefixes in a request for a list, and the number of levels of names below them, 0 for all;
+/// `None` if it is damaged.
 pub fn requested_prefixes(request: &[u8]) -> Option<(Vec<String>, u64)> {
     let mut message = MessageCursor::cdr(request)?;
     Some((names(&mut message)?, message.u64()?))
@@ -177,7 +177,7 @@ pub fn parameter_results(results: &[Result<(), String>]) -> Vec<u8> {
     sequence(results, write_result)
 }
 
-/// Response of `SetParametersAtomically`: whether all were changed, or why none was.
+/// Response of `SetParametersAtomically`: whether all were changed, or why nothing was.
 pub fn parameter_result(result: &Result<(), String>) -> Vec<u8> {
     let mut message = Cdr::new();
     write_result(&mut message, result);
@@ -196,7 +196,7 @@ pub fn parameter_event(time_ns: u64, node: &str, changed: &[Parameter]) -> Vec<u
         message.text(&parameter.name);
         parameter.value.write(&mut message);
     }
-    // None deleted.
+    // No deleted ones.
     message.u32(0);
     message.finished()
 }
