@@ -1,7 +1,7 @@
 //! A service of ROS 2: requests on one topic of DDS, replies on another.
 //!
-//! Which reply is for which request is said in two ways. Clients over Cyclone DDS have sixteen bytes
-//! before each message, an identifier of the client and the number of the request
+//! A reply says which request it is for in one of two ways. Clients over Cyclone DDS have sixteen
+//! bytes before each message, an identifier of the client and the number of the request
 //! (rmw_cyclonedds, `serdata.hpp`); replies have the same. Those over Fast DDS say it beside the
 //! message, as an inline quality of service, the related sample identity (DDS-RPC 1.0, section 7.8;
 //! rmw_fastrtps, `rmw_request.cpp`).

@@ -21,8 +21,8 @@ const FREE: u8 = 0;
 /// A cell of an occupancy grid that is unknown: −1.
 const UNKNOWN: u8 = u8::MAX;
 
-/// `nav_msgs/msg/OccupancyGrid`: cells that were seen are free, others unknown. The cells are row by
-/// row along x, that of the least y first.
+/// `nav_msgs/msg/OccupancyGrid`: cells that were seen are free, others unknown. The cells are row
+/// by row along x, that of the least y first.
 pub fn occupancy_grid(time_ns: u64, frame: &str, raster: &GroundRaster, seen: &[bool]) -> Vec<u8> {
     let mut message = Cdr::new();
     message.header(time_ns, frame);
@@ -32,7 +32,8 @@ pub fn occupancy_grid(time_ns: u64, frame: &str, raster: &GroundRaster, seen: &[
     message.finished()
 }
 
-/// `nav_msgs/msg/MapMetaData`: where a raster is. Its cell (0, 0) is at the corner of least x and y.
+/// `nav_msgs/msg/MapMetaData`: where a raster is. Its cell (0, 0) is at the corner of least x and
+/// y.
 pub fn map_meta_data(time_ns: u64, raster: &GroundRaster) -> Vec<u8> {
     let mut message = Cdr::new();
     meta_data(&mut message, time_ns, raster);
@@ -65,8 +66,8 @@ mod tests {
     fn a_grid_ends_with_its_cells() {
         let raster = GroundRaster { resolution_m: 0.05, width: 3, height: 1, corner_m: [1.0, -2.0] };
         let message = occupancy_grid(1_000_000_002, "map", &raster, &[true, false, true]);
-        // Header with 8 bytes of time, 4 of length and "map" with its zero; 8 of time, three numbers of
-        // 4 bytes; behind 36 bytes 4 for the alignment of seven doubles.
+        // Header with 8 bytes of time, 4 of length and "map" with its zero; 8 of time, three
+        // numbers of 4 bytes; behind 36 bytes 4 for the alignment of seven doubles.
         let info = 4 + 16 + 8 + 12 + 4;
         assert_eq!(message.len(), info + 56 + 4 + 3);
         assert_eq!(message[info..info + 8], 1.0_f64.to_le_bytes());
