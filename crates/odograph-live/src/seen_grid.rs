@@ -114,14 +114,12 @@ impl SeenGrid {
     /// The cells that hold all ground seen; `None` where there is none.
     pub fn cells(&self) -> Option<SeenCells> {
         let cells = || self.tiles.made.values().flat_map(TileCells::cells);
-        let (mut columns, mut rows) = (i64::MAX..i64::MIN, i64::MAX..i64::MIN);
-        for (column, row, _) in cells() {
-            columns = columns.start.min(column)..columns.end.max(column + 1);
-            rows = rows.start.min(row)..rows.end.max(row + 1);
-        }
-        if columns.is_empty() {
-            return None;
-        }
+        let extent = cells().fold(None, |extent, (column, row, _)| {
+            let [left, right, low, high] = extent.unwrap_or([column, column, row, row]);
+            Some([left.min(column), right.max(column), low.min(row), high.max(row)])
+        });
+        let [left, right, low, high] = extent?;
+        let (columns, rows) = (left..right + 1, low..high + 1);
         let mut halvings = 0;
         let coarse =
             |cells: &Range<i64>, halvings: u32| cells.start >> halvings..((cells.end - 1) >> halvings) + 1;
