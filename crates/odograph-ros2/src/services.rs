@@ -198,7 +198,7 @@ impl Services {
             parameters.put(name, ParameterValue::Bool(has), false, what);
         }
         self.shared.apply(parameters);
-        let odometry = run.plan().odometry.clone();
+        let odometry = run.plan().odometry;
         state.run = Some(Running { hub: Arc::clone(run.hub()), map, folder, odometry });
     }
 
