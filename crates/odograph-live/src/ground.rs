@@ -215,13 +215,18 @@ impl TiledGround for GroundPicture {
 /// Encodes the RGBA samples of a tile as PNG.
 pub(crate) fn tile_png(rgba: &[u8]) -> Option<Vec<u8>> {
     let side = Mosaic::TILE_SIDE_PX as u32;
+    png_of(rgba, side, side, png::ColorType::Rgba)
+}
+
+/// Encodes samples of 8 bits as PNG.
+pub(crate) fn png_of(samples: &[u8], width: u32, height: u32, color: png::ColorType) -> Option<Vec<u8>> {
     let mut bytes = Vec::new();
-    let mut encoder = png::Encoder::new(&mut bytes, side, side);
-    encoder.set_color(png::ColorType::Rgba);
+    let mut encoder = png::Encoder::new(&mut bytes, width, height);
+    encoder.set_color(color);
     encoder.set_depth(png::BitDepth::Eight);
     encoder.set_compression(png::Compression::Fast);
     let mut writer = encoder.write_header().ok()?;
-    writer.write_image_data(rgba).ok()?;
+    writer.write_image_data(samples).ok()?;
     writer.finish().ok()?;
     Some(bytes)
 }

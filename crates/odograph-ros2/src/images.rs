@@ -97,6 +97,12 @@ impl Images {
         Ok(Self { listening, options, domain, began, first: None })
     }
 
+    /// Forgets what has come so far, and how long it has been waited for.
+    pub fn begin_again(&mut self) {
+        while let Taken::Item(_) = self.listening.images().take(Duration::ZERO) {}
+        (self.began, self.first) = (Instant::now(), None);
+    }
+
     /// Waits until `look` finds something. The observer hears what is waited for, and may end it.
     fn wait<T>(
         &self,
@@ -336,6 +342,17 @@ impl ImageSource {
         Ok(Some(Frame::new(number, time_s, picture)))
     }
 
+    /// Reports when the images have several publishers.
+    fn count_publishers(&self) {
+        let publishers = self.listening.heard().publishers;
+        if self.link.set_publishers(publishers) && publishers > 1 {
+            self.watch.notice(format!(
+                "{} has {publishers} publishers; the images of one are used, those of the others left out",
+                self.options.topic
+            ));
+        }
+    }
+
     /// Without images for a while: reports it, and fails when patience ends.
     fn miss(&mut self) -> Result<()> {
         let since = self.newest.elapsed();
@@ -356,6 +373,7 @@ impl LiveSource for ImageSource {
 
     fn next_frame(&mut self) -> Result<Option<Captured>> {
         while !self.watch.ended() {
+            self.count_publishers();
             let (arrived, picture) = match self.first.take() {
                 Some((arrived, picture)) => (arrived, Ok(picture)),
                 None => match self.listening.images().take(STEP) {
@@ -402,6 +420,11 @@ impl LiveSource for ImageSource {
             let overtaken = std::mem::take(&mut self.overtaken);
             warnings
                 .push(format!("images left out because their times are not after those before: {overtaken}"));
+        }
+        let of_others = std::mem::take(&mut self.listening.heard().of_others);
+        if of_others > 0 {
+            let name = &self.options.topic;
+            warnings.push(format!("images of another publisher of {name} that were left out: {of_others}"));
         }
         warnings.extend(self.listening.heard().records.iter().filter_map(|(_, record)| record.defect()));
         warnings

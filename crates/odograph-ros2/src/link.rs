@@ -2,6 +2,7 @@
 
 use odograph_live::capture::Watch;
 use std::collections::VecDeque;
+use std::sync::atomic::{AtomicUsize, Ordering};
 use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
 
 /// Frames between capture and tracking, and a few more.
@@ -13,11 +14,12 @@ pub struct Link {
     watch: Watch,
     frame: String,
     stamps: Arc<Mutex<VecDeque<(u64, i64)>>>,
+    publishers: Arc<AtomicUsize>,
 }
 
 impl Link {
     pub(crate) fn new(watch: Watch, frame: String) -> Self {
-        Self { watch, frame, stamps: Arc::default() }
+        Self { watch, frame, stamps: Arc::default(), publishers: Arc::default() }
     }
 
     fn stamps(&self) -> MutexGuard<'_, VecDeque<(u64, i64)>> {
@@ -37,6 +39,16 @@ impl Link {
     /// off.
     pub(crate) fn stamp_ns(&self, frame: u64) -> Option<i64> {
         self.stamps().iter().find(|(number, _)| *number == frame).map(|(_, stamp_ns)| *stamp_ns)
+    }
+
+    /// Takes the number of publishers of the images; `true` if it is another than before.
+    pub(crate) fn set_publishers(&self, publishers: usize) -> bool {
+        self.publishers.swap(publishers, Ordering::Relaxed) != publishers
+    }
+
+    /// Number of publishers of the images.
+    pub(crate) fn publishers(&self) -> usize {
+        self.publishers.load(Ordering::Relaxed)
     }
 
     /// The frame of reference of the images; empty if they have none.

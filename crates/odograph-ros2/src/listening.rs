@@ -19,6 +19,8 @@ const IMAGES_WAITING: usize = 2;
 /// gyroscope what comes in half a second.
 const IMAGES_KEPT: i32 = 4;
 const SAMPLES_KEPT: i32 = 200;
+/// Pause without images of the publisher that is followed after which another one is.
+const TAKEN_OVER_AFTER: Duration = Duration::from_secs(2);
 /// Interval of looks at who publishes.
 const LOOKED_EVERY: Duration = Duration::from_millis(100);
 
@@ -64,6 +66,8 @@ pub struct Heard {
     pub records: Vec<(Sensor, GrowingRecord)>,
     /// Number of publishers of the images, at the last look.
     pub publishers: usize,
+    /// Number of images of publishers that are not followed.
+    pub of_others: u64,
     /// Other topics with images, at the last look.
     pub others: Vec<TopicName>,
     /// Why there will be no images.
@@ -101,6 +105,8 @@ impl Listening {
             queue: Arc::clone(&queue),
             ended: Arc::clone(&ended),
             looked: None,
+            followed: None,
+            writers: Vec::new(),
         };
         for wanted in wanted {
             listener.listen_to(wanted)?;
@@ -135,6 +141,10 @@ struct Listener {
     queue: Arc<Newest<ArrivedImage>>,
     ended: Arc<AtomicBool>,
     looked: Option<Instant>,
+    /// The writer whose images are taken, and when the newest one came.
+    followed: Option<([u8; 16], Instant)>,
+    /// The writers of the images, at the last look.
+    writers: Vec<[u8; 16]>,
 }
 
 impl Listener {
@@ -199,11 +209,13 @@ impl Listener {
         for Reader { of, topic, reader } in &mut readers {
             // A damaged message is left out; it is not delivered again.
             while let Ok(Some(sample)) = reader.take_next_sample() {
+                let writer = sample.sample_info().writer_guid().to_bytes();
                 let Payload(message) = sample.into_value();
                 match of {
-                    Use::Images => {
+                    Use::Images if self.follows(writer, at) => {
                         self.queue.give(ArrivedImage { message, at });
                     }
+                    Use::Images => self.heard().of_others += 1,
                     Use::CameraInfo => {
                         let infos = &mut self.heard().camera_infos;
                         infos.retain(|(other, _)| other.name() != topic.name());
@@ -222,6 +234,21 @@ impl Listener {
         self.readers = readers;
     }
 
+    /// Whether the images of a writer are taken: those of one writer alone, so that the pictures of
+    /// two cameras are not mixed. Another one takes over when it is gone, or silent.
+    fn follows(&mut self, writer: [u8; 16], at: Instant) -> bool {
+        let is_other = |(followed, newest): ([u8; 16], Instant)| {
+            followed != writer
+                && self.writers.contains(&followed)
+                && at.saturating_duration_since(newest) < TAKEN_OVER_AFTER
+        };
+        if self.followed.is_some_and(is_other) {
+            return false;
+        }
+        self.followed = Some((writer, at));
+        true
+    }
+
     /// Looks who publishes; fails if the topic has other messages than images.
     fn look(&mut self) -> Result<()> {
         if self.looked.is_some_and(|looked| looked.elapsed() < LOOKED_EVERY) {
@@ -233,11 +260,16 @@ impl Listener {
             let images = [LiveMessage::Image, LiveMessage::CompressedImage];
             LiveMessage::named(type_name).filter(|message| images.contains(message))
         };
-        let (own, others): (Vec<_>, Vec<_>) = published.into_iter().partition(|(name, _)| *name == self.name);
-        let mut others: Vec<TopicName> =
-            others.into_iter().filter(|(_, of)| message(of).is_some()).map(|(name, _)| name).collect();
+        let (own, others): (Vec<_>, Vec<_>) =
+            published.into_iter().partition(|published| published.name == self.name);
+        let mut others: Vec<TopicName> = others
+            .into_iter()
+            .filter(|other| message(&other.type_name).is_some())
+            .map(|other| other.name)
+            .collect();
         others.sort_by(|a, b| a.as_str().cmp(b.as_str()));
         others.dedup();
+        self.writers = own.iter().map(|published| published.writer).collect();
         let is_followed = {
             let mut heard = self.heard();
             heard.publishers = own.len();
@@ -247,11 +279,11 @@ impl Listener {
         if is_followed || own.is_empty() {
             return Ok(());
         }
-        let Some(found) = own.iter().find_map(|(_, of)| message(of)) else {
+        let Some(found) = own.iter().find_map(|published| message(&published.type_name)) else {
             let name = &self.name;
             return Err(Error::input(format!(
                 "the messages on {name} are {}, not images (sensor_msgs/msg/Image or CompressedImage){}",
-                own[0].1,
+                own[0].type_name,
                 named_topics(&self.heard().others)
             )));
         };

@@ -52,6 +52,11 @@ impl TopicName {
         format!("rt{}", self.0)
     }
 
+    /// The names in DDS of the requests and the replies of a service with this name.
+    pub(crate) fn service_in_dds(&self) -> [String; 2] {
+        [format!("rq{}Request", self.0), format!("rr{}Reply", self.0)]
+    }
+
     /// From the name in DDS; `None` if it is not a topic of ROS 2.
     pub(crate) fn from_dds(name: &str) -> Option<Self> {
         name.strip_prefix("rt").filter(|name| name.starts_with('/')).map(|name| Self(name.to_owned()))
@@ -81,6 +86,7 @@ mod tests {
     fn topics_and_types_have_other_names_in_dds() {
         let name: TopicName = "camera/image_raw".parse().unwrap();
         assert_eq!((name.as_str(), name.in_dds().as_str()), ("/camera/image_raw", "rt/camera/image_raw"));
+        assert_eq!(name.service_in_dds(), ["rq/camera/image_rawRequest", "rr/camera/image_rawReply"]);
         assert_eq!(TopicName::from_dds("rt/camera/image_raw"), Some(name));
         assert_eq!(TopicName::from_dds("rr/service"), None);
         assert_eq!(type_in_dds("sensor_msgs/msg/Image"), "sensor_msgs::msg::dds_::Image_");

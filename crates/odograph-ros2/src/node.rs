@@ -47,7 +47,12 @@ const NAME: &str = "odograph";
 
 /// Descriptions of the node that are kept for those who come later: one for each endpoint, since a
 /// new one is refused while as many are not delivered.
-const GRAPHS_KEPT: i32 = 20;
+const GRAPHS_KEPT: i32 = 64;
+
+/// Requests that wait for an answer.
+const REQUESTS_KEPT: i32 = 10;
+/// Replies that wait for clients, among which some may have been killed.
+const REPLIES_KEPT: i32 = 100;
 
 /// Largest domain that the port numbers of DDS have room for.
 const LARGEST_DOMAIN: u16 = 232;
@@ -69,6 +74,14 @@ struct Graph {
     writer: PayloadWriter,
     readers: Vec<[u8; 16]>,
     writers: Vec<[u8; 16]>,
+}
+
+/// A topic with one of its publishers.
+pub(crate) struct Published {
+    pub name: TopicName,
+    pub type_name: String,
+    /// Identifier of the publisher's writer.
+    pub writer: [u8; 16],
 }
 
 impl std::fmt::Debug for Node {
@@ -102,12 +115,17 @@ impl Node {
     /// If `ROS_DOMAIN_ID` is not a domain, or there is no network.
     pub fn join() -> Result<Self> {
         let variable = |name| std::env::var(name).ok();
-        let domain = domain(variable("ROS_DOMAIN_ID").as_deref())?;
-        let mut builder = DomainParticipantBuilder::new(domain);
-        if is_local(
+        let is_local = is_local(
             variable("ROS_LOCALHOST_ONLY").as_deref(),
             variable("ROS_AUTOMATIC_DISCOVERY_RANGE").as_deref(),
-        ) {
+        );
+        Self::joined(domain(variable("ROS_DOMAIN_ID").as_deref())?, is_local)
+    }
+
+    /// Joins a domain, on this machine alone if `is_local`.
+    pub(crate) fn joined(domain: u16, is_local: bool) -> Result<Self> {
+        let mut builder = DomainParticipantBuilder::new(domain);
+        if is_local {
             builder = builder.with_only_networks([IpAddr::V4(Ipv4Addr::LOCALHOST)]);
         }
         let participant = builder.build().map_err(unavailable)?;
@@ -148,14 +166,51 @@ impl Node {
         delivery: Delivery,
         depth: i32,
     ) -> Result<PayloadReader> {
-        let qos = delivery.qos(depth);
-        let dds =
-            self.0.participant.create_topic(topic.in_dds(), type_in_dds(type_name), &qos, TopicKind::NoKey);
-        let reader = dds
-            .and_then(|dds| self.0.subscriber.create_datareader_no_key(&dds, Some(qos)))
-            .map_err(unavailable)?;
+        let reader = self.reader_of(topic.in_dds(), type_name, delivery, depth)?;
         self.announce(|graph| graph.readers.push(RTPSEntity::guid(&reader).to_bytes()));
         Ok(reader)
+    }
+
+    fn reader_of(
+        &self,
+        topic: String,
+        type_name: &str,
+        delivery: Delivery,
+        depth: i32,
+    ) -> Result<PayloadReader> {
+        let qos = delivery.qos(depth);
+        let topic = self.0.participant.create_topic(topic, type_in_dds(type_name), &qos, TopicKind::NoKey);
+        topic
+            .and_then(|topic| self.0.subscriber.create_datareader_no_key(&topic, Some(qos)))
+            .map_err(unavailable)
+    }
+
+    /// A reader of the requests of a service, and a writer of its replies.
+    pub(crate) fn service(
+        &self,
+        name: &TopicName,
+        type_name: &str,
+    ) -> Result<(PayloadReader, PayloadWriter)> {
+        let [requests, replies] = name.service_in_dds();
+        let (request, response) = (format!("{type_name}_Request"), format!("{type_name}_Response"));
+        let reader = self.reader_of(requests, &request, Delivery::Reliable, REQUESTS_KEPT)?;
+        let NodeState { participant, publisher, .. } = &*self.0;
+        let writer = writer(participant, publisher, replies, &response, Delivery::Reliable, REPLIES_KEPT)?;
+        self.announce(|graph| {
+            graph.readers.push(RTPSEntity::guid(&reader).to_bytes());
+            graph.writers.push(RTPSEntity::guid(&writer).to_bytes());
+        });
+        Ok((reader, writer))
+    }
+
+    /// A reader of the replies of a service, and a writer of its requests.
+    #[cfg(test)]
+    pub(crate) fn client(&self, name: &TopicName, type_name: &str) -> Result<(PayloadReader, PayloadWriter)> {
+        let [requests, replies] = name.service_in_dds();
+        let (request, response) = (format!("{type_name}_Request"), format!("{type_name}_Response"));
+        let reader = self.reader_of(replies, &response, Delivery::Reliable, REQUESTS_KEPT)?;
+        let NodeState { participant, publisher, .. } = &*self.0;
+        Ok((reader, writer(participant, publisher, requests, &request, Delivery::Reliable, REQUESTS_KEPT)?))
     }
 
     /// A writer of a topic that keeps a few messages.
@@ -172,16 +227,18 @@ impl Node {
         Ok(writer)
     }
 
-    /// The topics that others publish at the moment, each with its type, once for each publisher.
-    pub(crate) fn published(&self) -> Vec<(TopicName, String)> {
+    /// The topics that others publish at the moment, once for each publisher.
+    pub(crate) fn published(&self) -> Vec<Published> {
         let writers = self.0.participant.discovered_writers();
         let own = self.0.participant.guid().prefix;
         let others = writers.iter().map(|writer| &writer.publication_topic_data);
         let others = others.filter(|topic| topic.key.prefix != own);
         let named = |topic: &str| TopicName::from_dds(topic);
-        others
-            .filter_map(|topic| Some((named(&topic.topic_name)?, type_from_dds(&topic.type_name))))
-            .collect()
+        let published = others.filter_map(|topic| {
+            let (name, type_name) = (named(&topic.topic_name)?, type_from_dds(&topic.type_name));
+            Some(Published { name, type_name, writer: topic.key.to_bytes() })
+        });
+        published.collect()
     }
 }
 

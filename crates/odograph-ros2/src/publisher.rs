@@ -1,21 +1,22 @@
 //! What is published of a run.
 
+use crate::ground::GroundPublisher;
 use crate::link::Link;
 use crate::names::TopicName;
 use crate::node::{Delivery, Node};
 use crate::path::SparsePath;
-use crate::payload::{Payload, PayloadWriter};
+use crate::services::Services;
+use crate::topic::{KEPT, Topic, now_ns};
 use nalgebra::Isometry3;
 use odograph::error::Result;
 use odograph::pose_frame::PoseFrame;
 use odograph::trajectory::TrackStatus;
-use odograph_session::live::{LiveFrame, PoseSink};
+use odograph_session::live::{LiveFrame, LiveRun, PoseSink};
 use odograph_session::ros_messages::{self, CAMERA, Diagnostic, MAP, ODOM, Severity};
-use rustdds::TopicDescription;
 use std::sync::atomic::{AtomicBool, Ordering};
 use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
 use std::thread::{self, JoinHandle};
-use std::time::{Duration, Instant, SystemTime, UNIX_EPOCH};
+use std::time::{Duration, Instant};
 
 /// A part of what is published.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
@@ -30,6 +31,10 @@ pub enum Part {
     Path,
     /// `diagnostic_msgs/DiagnosticArray` on `/diagnostics`.
     Diagnostics,
+    /// `nav_msgs/OccupancyGrid` on `/odograph/grid`.
+    Grid,
+    /// `sensor_msgs/CompressedImage` on `/odograph/mosaic/compressed`, and its georeference.
+    Mosaic,
 }
 
 /// What is published, and where.
@@ -54,18 +59,12 @@ impl Default for PublisherOptions {
     }
 }
 
-/// Messages that a reliable topic keeps until all who listen have them. A listener that was killed
-/// counts until its lease ends, mostly after 10 s, and no more than these are sent to the others:
-/// enough for 200 Hz.
-const KEPT: i32 = 2000;
 /// Interval of the path, and of diagnostics that do not change.
 const SECOND: Duration = Duration::from_secs(1);
 /// Age of the newest frame from which the state is stale.
 const STALE_AFTER: Duration = Duration::from_secs(2);
 /// What there is to say after the last frame.
 const ENDED: &str = "the run has ended";
-/// Longest wait until the last messages are delivered.
-const LAST: Duration = Duration::from_millis(300);
 /// Interval at which the watch for missing images wakes.
 const STEP: Duration = Duration::from_millis(100);
 
@@ -75,78 +74,53 @@ pub struct RunPublisher {
     link: Option<Link>,
     camera: String,
     odometry: Topic,
-    transforms: Option<Topic>,
+    transforms: Topic,
     static_transforms: Option<Topic>,
-    has_odom_transform: bool,
-    has_map_transform: bool,
     path: Option<(Topic, SparsePath, Option<Instant>)>,
     health: Option<Health>,
+    ground: Option<GroundPublisher>,
+    services: Services,
     /// That of the camera on the robot, as it was published last.
     placed: Option<Isometry3<f64>>,
     /// Last, so that what is sent at the end is sent.
     _node: Node,
 }
 
-/// A topic that is written to.
-struct Topic(PayloadWriter);
-
-impl std::fmt::Debug for Topic {
-    fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
-        f.write_str(&self.0.topic().name())
-    }
-}
-
-impl Topic {
-    fn new(node: &Node, name: &str, type_name: &str, delivery: Delivery, depth: i32) -> Result<Self> {
-        node.writer(&name.parse()?, type_name, delivery, depth).map(Self)
-    }
-
-    /// Sends a message. One that cannot be sent at once is lost: newer ones follow.
-    fn send(&self, message: Vec<u8>) {
-        let _ = self.0.write(Payload(message), None);
-    }
-
-    /// Waits until those who listen have what was sent.
-    fn wait(&self) {
-        let _ = self.0.wait_for_acknowledgments(LAST);
-    }
-}
-
-/// The time of the clock, nanoseconds.
-fn now_ns() -> u64 {
-    let since = SystemTime::now().duration_since(UNIX_EPOCH).unwrap_or_default();
-    u64::try_from(since.as_nanos()).unwrap_or(u64::MAX)
-}
-
 impl RunPublisher {
     /// Announces the topics. Of images of ROS 2 the link has the times and the frame; those of
-    /// other sources are stamped by the clock.
+    /// other sources are stamped by the clock. The services are for the run from now on; its ground
+    /// is published if the run keeps it up to date in its hub.
     ///
     /// # Errors
     /// If a topic cannot be announced.
-    pub fn new(node: &Node, options: &PublisherOptions, link: Option<Link>) -> Result<Self> {
+    pub fn new(
+        node: &Node,
+        options: &PublisherOptions,
+        link: Option<Link>,
+        services: Services,
+        run: &LiveRun,
+    ) -> Result<Self> {
         let has = |part: Part| !options.without.contains(&part);
         let topic =
             |name: &str, type_name: &str, delivery, depth| Topic::new(node, name, type_name, delivery, depth);
         let transforms = "tf2_msgs/msg/TFMessage";
-        let (has_odom_transform, has_map_transform) = (has(Part::OdomTransform), has(Part::MapTransform));
         let is_placed = options.camera_is_placed || !has(Part::CameraTransform);
         let path = || topic(PATH, "nav_msgs/msg/Path", Delivery::Latched, 1);
         let frame = link.as_ref().map(Link::frame).filter(|frame| !frame.is_empty());
+        let camera = frame.unwrap_or(CAMERA).to_owned();
+        services.serve(run, &camera, has(Part::OdomTransform), has(Part::MapTransform));
         Ok(Self {
-            camera: frame.unwrap_or(CAMERA).to_owned(),
+            camera,
             odometry: topic(options.odometry.as_str(), "nav_msgs/msg/Odometry", Delivery::Reliable, KEPT)?,
-            transforms: (has_odom_transform || has_map_transform)
-                .then(|| topic("/tf", transforms, Delivery::Reliable, KEPT))
-                .transpose()?,
+            transforms: topic("/tf", transforms, Delivery::Reliable, KEPT)?,
             static_transforms: (!is_placed)
                 .then(|| topic("/tf_static", transforms, Delivery::Latched, 1))
                 .transpose()?,
-            has_odom_transform,
-            has_map_transform,
             path: has(Part::Path).then(path).transpose()?.map(|topic| (topic, SparsePath::default(), None)),
             health: has(Part::Diagnostics).then(|| Health::new(node, link.clone())).transpose()?,
+            ground: GroundPublisher::new(node, run.hub(), has(Part::Grid), has(Part::Mosaic))?,
             link,
+            services,
             placed: None,
             _node: node.clone(),
         })
@@ -163,14 +137,14 @@ impl RunPublisher {
         let corrected = frame.map_from_odometry.apply_to_pose(&known.pose);
         let map_from_odom = frame.of.world_from_frame(&corrected) * placed.inverse();
         let mut moved = Vec::new();
-        if self.has_map_transform {
+        if self.services.publishes_map() {
             moved.push((MAP, ODOM, map_from_odom));
         }
-        if self.has_odom_transform {
+        if self.services.publishes_odom() {
             moved.push((ODOM, child, placed));
         }
-        if let Some(transforms) = &self.transforms {
-            transforms.send(ros_messages::transforms(time_ns, &moved));
+        if !moved.is_empty() {
+            self.transforms.send(ros_messages::transforms(time_ns, &moved));
         }
         if let Some((topic, path, sent)) = &mut self.path {
             path.add(time_ns, placed);
@@ -199,6 +173,10 @@ impl PoseSink for RunPublisher {
         let time_ns = stamp_ns.unwrap_or_else(|| now_ns().saturating_sub((1e6 * frame.latency_ms) as u64));
         self.publish_mount(time_ns, frame.of);
         self.publish_pose(time_ns, frame);
+        self.services.take(frame);
+        if let Some(ground) = &self.ground {
+            ground.set_time(time_ns);
+        }
         if let Some(health) = &self.health {
             health.update(time_ns, frame);
         }
@@ -238,7 +216,8 @@ struct SharedHealth {
 struct HealthState {
     /// That of the newest frame, with its stamp and when it came.
     newest: Option<(u64, Diagnostic, Instant)>,
-    status: Option<TrackStatus>,
+    /// Status and number of publishers of the images, as they were said last.
+    status: Option<(TrackStatus, usize)>,
     /// Why there are no frames, as it was said last.
     stale: Option<&'static str>,
     sent: Option<Instant>,
@@ -264,7 +243,13 @@ impl Health {
         let mut state = self.shared.state();
         let mut diagnostic = Diagnostic::of(frame.estimate);
         diagnostic.values.push(("latency_ms", format!("{:.1}", frame.latency_ms)));
-        let changed = state.status.replace(frame.estimate.status) != Some(frame.estimate.status);
+        let publishers = self.shared.link.as_ref().map_or(0, Link::publishers);
+        if publishers > 1 {
+            diagnostic.severity = Severity::Warning;
+            diagnostic.message += &format!("; the images have {publishers} publishers, and one is used");
+        }
+        let said = (frame.estimate.status, publishers);
+        let changed = state.status.replace(said) != Some(said);
         state.newest = Some((time_ns, diagnostic, Instant::now()));
         if changed {
             self.shared.send(&mut state);

@@ -3,7 +3,18 @@
 from dataclasses import dataclass
 
 from cyclonedds.idl import IdlStruct
-from cyclonedds.idl.types import array, float32, float64, int8, int32, sequence, uint8, uint32
+from cyclonedds.idl.types import (
+    array,
+    float32,
+    float64,
+    int8,
+    int32,
+    int64,
+    sequence,
+    uint8,
+    uint32,
+    uint64,
+)
 
 
 @dataclass
@@ -204,3 +215,194 @@ class ParticipantEntitiesInfo(
 ):
     gid: array[uint8, 16]
     node_entities_info_seq: sequence[NodeEntitiesInfo]
+
+
+# What rmw_cyclonedds has before every request and reply of a service.
+@dataclass
+class TriggerRequest(IdlStruct, typename="std_srvs::srv::dds_::Trigger_Request_"):
+    guid: uint64
+    number: int64
+    structure_needs_at_least_one_member: uint8 = 0
+
+
+@dataclass
+class TriggerReply(IdlStruct, typename="std_srvs::srv::dds_::Trigger_Response_"):
+    guid: uint64
+    number: int64
+    success: bool
+    message: str
+
+
+@dataclass
+class ParameterValue(IdlStruct, typename="rcl_interfaces::msg::dds_::ParameterValue_"):
+    type: uint8
+    bool_value: bool
+    integer_value: int64
+    double_value: float64
+    string_value: str
+    byte_array_value: sequence[uint8]
+    bool_array_value: sequence[bool]
+    integer_array_value: sequence[int64]
+    double_array_value: sequence[float64]
+    string_array_value: sequence[str]
+
+
+@dataclass
+class Parameter(IdlStruct, typename="rcl_interfaces::msg::dds_::Parameter_"):
+    name: str
+    value: ParameterValue
+
+
+@dataclass
+class ParameterEvent(IdlStruct, typename="rcl_interfaces::msg::dds_::ParameterEvent_"):
+    stamp: Time
+    node: str
+    new_parameters: sequence[Parameter]
+    changed_parameters: sequence[Parameter]
+    deleted_parameters: sequence[Parameter]
+
+
+@dataclass
+class FloatingPointRange(IdlStruct, typename="rcl_interfaces::msg::dds_::FloatingPointRange_"):
+    from_value: float64
+    to_value: float64
+    step: float64
+
+
+@dataclass
+class IntegerRange(IdlStruct, typename="rcl_interfaces::msg::dds_::IntegerRange_"):
+    from_value: int64
+    to_value: int64
+    step: uint64
+
+
+@dataclass
+class ParameterDescriptor(IdlStruct, typename="rcl_interfaces::msg::dds_::ParameterDescriptor_"):
+    name: str
+    type: uint8
+    description: str
+    additional_constraints: str
+    read_only: bool
+    dynamic_typing: bool
+    floating_point_range: sequence[FloatingPointRange, 1]
+    integer_range: sequence[IntegerRange, 1]
+
+
+@dataclass
+class SetParametersResult(IdlStruct, typename="rcl_interfaces::msg::dds_::SetParametersResult_"):
+    successful: bool
+    reason: str
+
+
+@dataclass
+class ListParametersResult(IdlStruct, typename="rcl_interfaces::msg::dds_::ListParametersResult_"):
+    names: sequence[str]
+    prefixes: sequence[str]
+
+
+@dataclass
+class GetParametersRequest(IdlStruct, typename="rcl_interfaces::srv::dds_::GetParameters_Request_"):
+    guid: uint64
+    number: int64
+    names: sequence[str]
+
+
+@dataclass
+class CutOffRequest(IdlStruct, typename="rcl_interfaces::srv::dds_::GetParameters_Request_"):
+    guid: uint64
+    number: int64
+
+
+@dataclass
+class GetParametersReply(IdlStruct, typename="rcl_interfaces::srv::dds_::GetParameters_Response_"):
+    guid: uint64
+    number: int64
+    values: sequence[ParameterValue]
+
+
+@dataclass
+class GetParameterTypesRequest(
+    IdlStruct, typename="rcl_interfaces::srv::dds_::GetParameterTypes_Request_"
+):
+    guid: uint64
+    number: int64
+    names: sequence[str]
+
+
+@dataclass
+class GetParameterTypesReply(
+    IdlStruct, typename="rcl_interfaces::srv::dds_::GetParameterTypes_Response_"
+):
+    guid: uint64
+    number: int64
+    types: sequence[uint8]
+
+
+@dataclass
+class SetParametersRequest(IdlStruct, typename="rcl_interfaces::srv::dds_::SetParameters_Request_"):
+    guid: uint64
+    number: int64
+    parameters: sequence[Parameter]
+
+
+@dataclass
+class SetParametersReply(IdlStruct, typename="rcl_interfaces::srv::dds_::SetParameters_Response_"):
+    guid: uint64
+    number: int64
+    results: sequence[SetParametersResult]
+
+
+@dataclass
+class SetParametersAtomicallyRequest(
+    IdlStruct, typename="rcl_interfaces::srv::dds_::SetParametersAtomically_Request_"
+):
+    guid: uint64
+    number: int64
+    parameters: sequence[Parameter]
+
+
+@dataclass
+class SetParametersAtomicallyReply(
+    IdlStruct, typename="rcl_interfaces::srv::dds_::SetParametersAtomically_Response_"
+):
+    guid: uint64
+    number: int64
+    result: SetParametersResult
+
+
+@dataclass
+class ListParametersRequest(
+    IdlStruct, typename="rcl_interfaces::srv::dds_::ListParameters_Request_"
+):
+    guid: uint64
+    number: int64
+    prefixes: sequence[str]
+    depth: uint64
+
+
+@dataclass
+class ListParametersReply(IdlStruct, typename="rcl_interfaces::srv::dds_::ListParameters_Response_"):
+    guid: uint64
+    number: int64
+    result: ListParametersResult
+
+
+@dataclass
+class DescribeParametersRequest(
+    IdlStruct, typename="rcl_interfaces::srv::dds_::DescribeParameters_Request_"
+):
+    guid: uint64
+    number: int64
+    names: sequence[str]
+
+
+@dataclass
+class DescribeParametersReply(
+    IdlStruct, typename="rcl_interfaces::srv::dds_::DescribeParameters_Response_"
+):
+    guid: uint64
+    number: int64
+    descriptors: sequence[ParameterDescriptor]
+
+
+CutOffReply = GetParametersReply

@@ -1,5 +1,7 @@
 """A robot in ROS 2, made of Cyclone DDS alone, and the program beside it."""
 
+import csv
+import json
 import math
 import os
 import re
@@ -69,12 +71,48 @@ class Robot:
         self.collected[name] = taken
         return taken
 
+    def client(self, name, kind):
+        """A client of a service, as rmw_cyclonedds makes one: call it with the fields of a request."""
+        return Client(self.participant, name, kind)
+
     def close(self):
         """Vanishes from the domain."""
         self.ended.set()
         time.sleep(0.2)
         self.writers.clear()
         self.participant = None
+
+
+class Client:
+    """A client of a service; several may call at once, and each gets its own replies."""
+
+    identifiers = iter(range(0x1234_5678_9ABC_DEF0, 2**64))
+
+    def __init__(self, participant, name, kind):
+        request, reply = getattr(ros, f"{kind}Request"), getattr(ros, f"{kind}Reply")
+        quality = Qos(Policy.Reliability.Reliable(duration(seconds=1)), Policy.History.KeepLast(10))
+        self.name, self.request = name, request
+        self.writer = DataWriter(participant, Topic(participant, f"rq{name}Request", request), qos=quality)
+        self.reader = DataReader(participant, Topic(participant, f"rr{name}Reply", reply), qos=quality)
+        self.identifier, self.number = next(self.identifiers), 0
+
+    def is_there(self):
+        """As rmw_service_server_is_available says."""
+        return self.writer.get_matched_subscriptions() and self.reader.get_matched_publications()
+
+    def send(self, *fields):
+        self.number += 1
+        self.writer.write(self.request(self.identifier, self.number, *fields))
+
+    def __call__(self, *fields, seconds=10):
+        until(self.is_there, what=f"the service {self.name}")
+        self.send(*fields)
+        ends = time.monotonic() + seconds
+        while time.monotonic() < ends:
+            for reply in self.reader.take_iter(timeout=duration(milliseconds=100)):
+                if (reply.guid, reply.number) == (self.identifier, self.number):
+                    return reply
+        raise AssertionError(f"{self.name} has not answered in {seconds} s")
 
 
 class Program:
@@ -168,3 +206,31 @@ def matched(writer, count=1):
 def heading(quaternion):
     q = quaternion
     return math.atan2(2 * (q.w * q.z + q.x * q.y), 1 - 2 * (q.y * q.y + q.z * q.z))
+
+
+def odograph(folder, arguments):
+    command = [os.environ["ODOGRAPH"], *arguments.split()]
+    subprocess.run(command, cwd=folder, check=True, capture_output=True)
+
+
+def poses(path):
+    with open(path, encoding="utf-8") as file:
+        return [row for row in csv.DictReader(file) if row["x_m"]]
+
+
+def given(simulated):
+    return f"--camera {simulated}/sim/camera.yaml --rig {simulated}/sim/rig.toml"
+
+
+def statistics(folder):
+    return json.loads((folder / "live/stats.json").read_text())
+
+
+def ended(program, recording, odometry):
+    """Interrupts the run when its last frame has been published; what it has said."""
+    last = recording.time_ns(len(recording.frames) - 1)
+    until(lambda: odometry and stamp_ns(odometry[-1][1]) == last, what="the last odometry")
+    program.interrupt()
+    code, said = program.end()
+    assert code == 0, said
+    return said

@@ -1,8 +1,5 @@
 """The program with ROS 2 beside Cyclone DDS, on rendered frames: run in a network of its own."""
 
-import csv
-import itertools
-import json
 import math
 import struct
 import subprocess
@@ -11,73 +8,24 @@ import time
 import zlib
 
 import messages as ros
-import pytest
 from robot import (
     BEGAN_NS,
     LATCHED,
     RELIABLE,
     Program,
-    Recording,
     Robot,
+    ended,
+    given,
     heading,
     header,
     matched,
     os,
     play,
+    poses,
     stamp_ns,
+    statistics,
     until,
 )
-
-
-def odograph(folder, arguments):
-    command = [os.environ["ODOGRAPH"], *arguments.split()]
-    subprocess.run(command, cwd=folder, check=True, capture_output=True)
-
-
-@pytest.fixture(scope="session")
-def simulated(tmp_path_factory):
-    folder = tmp_path_factory.mktemp("simulated")
-    options = "--size 320x240 --path eight --duration 6 -q"
-    odograph(folder, f"simulate -o sim --format y4m {options}")
-    odograph(folder, f"simulate -o jpeg --format mjpeg {options}")
-    odograph(folder, "run sim/sim.y4m --camera sim/camera.yaml --rig sim/rig.toml -o run -q")
-    return folder
-
-
-@pytest.fixture
-def recording(simulated):
-    return Recording(simulated / "sim/sim.y4m")
-
-
-@pytest.fixture
-def robot(domains=itertools.count(40)):
-    # No test hears another one.
-    robot = Robot(next(domains))
-    yield robot
-    robot.close()
-
-
-def poses(path):
-    with open(path, encoding="utf-8") as file:
-        return [row for row in csv.DictReader(file) if row["x_m"]]
-
-
-def given(simulated):
-    return f"--camera {simulated}/sim/camera.yaml --rig {simulated}/sim/rig.toml"
-
-
-def statistics(folder):
-    return json.loads((folder / "live/stats.json").read_text())
-
-
-def ended(program, recording, odometry):
-    """Interrupts the run when its last frame has been published; what it has said."""
-    last = recording.time_ns(len(recording.frames) - 1)
-    until(lambda: odometry and stamp_ns(odometry[-1][1]) == last, what="the last odometry")
-    program.interrupt()
-    code, said = program.end()
-    assert code == 0, said
-    return said
 
 
 def is_where_the_run_was(message, simulated):
@@ -489,3 +437,44 @@ def test_a_flood_is_dropped_and_counted(simulated, recording, robot, tmp_path):
     assert live["frames_dropped"] > live["frames_captured"] / 4
     # 1500 images are 115 MB.
     assert after_mb - before_mb < 40
+
+
+def test_images_of_two_publishers_are_not_mixed(simulated, recording, robot, tmp_path):
+    odometry = robot.listen("/odom", ros.Odometry)
+    diagnostics = robot.listen("/diagnostics", ros.DiagnosticArray)
+    first = Robot(int(os.environ["ROS_DOMAIN_ID"]))
+    images = first.writer("/camera/image_raw", ros.Image)
+    program = Program(tmp_path, f"live ros2:/camera/image_raw {given(simulated)} --ros2 -o live")
+    until(lambda: matched(images), what="the subscription")
+    play(recording, lambda number: images.write(recording.image(number)), numbers=range(40))
+    second = robot.writer("/camera/image_raw", ros.Image)
+    until(lambda: matched(second), what="the second subscription")
+
+    def send(number):
+        # Of another place, and between the stamps of the first.
+        other = recording.image(180 - number, "rear_optical")
+        other.header = header(recording.time_ns(number) - 10_000_000, "rear_optical")
+        second.write(other)
+        if images:
+            images.write(recording.image(number))
+
+    play(recording, send, numbers=range(40, 110))
+    two = "tracked; the images have 2 publishers, and one is used"
+    until(lambda: two in [d.status[0].message for _, d in diagnostics], what="the report")
+    assert all(d.status[0].level == 1 for _, d in diagnostics if d.status[0].message == two)
+    of_first = {recording.time_ns(number) for number in range(110)}
+    assert {stamp_ns(message) for _, message in odometry} <= of_first
+    # The first one vanishes, and the second one takes over.
+    images = None
+    first.close()
+    until(lambda: diagnostics[-1][1].status[0].level == 3, what="the end of the first")
+    play(recording, lambda number: second.write(recording.image(number)), numbers=range(111, 160))
+    last = recording.time_ns(159)
+    until(lambda: stamp_ns(odometry[-1][1]) == last, what="odometry of the second")
+    program.interrupt()
+    code, said = program.end()
+    assert code == 0, said
+    name = "/camera/image_raw"
+    notice = f"{name} has 2 publishers; the images of one are used, those of the others left out"
+    assert said.count(f"warning: {notice}\n") == 1, said
+    assert f"warning: images of another publisher of {name} that were left out: 7" in said, said

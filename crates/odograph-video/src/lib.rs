@@ -61,9 +61,9 @@ mod avi_writer;
 pub use arrival_clock::ArrivalClock;
 pub use avi_writer::{AviFormat, AviWriter, jpeg_picture};
 pub use bag::{
-    LiveMessage, LiveTopic, LiveTransforms, RecordedMount, RecordedTransforms, is_recording_folder,
-    is_robot_recording, recorded_antenna, recorded_camera, recorded_fixes, recorded_mount, recorded_path,
-    recorded_sensor,
+    LiveMessage, LiveTopic, LiveTransforms, MessageCursor, RecordedMount, RecordedTransforms,
+    is_recording_folder, is_robot_recording, recorded_antenna, recorded_camera, recorded_fixes,
+    recorded_mount, recorded_path, recorded_sensor,
 };
 pub use bayer::BayerPattern;
 #[cfg(fuzzing)]

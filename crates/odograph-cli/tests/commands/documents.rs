@@ -20,12 +20,15 @@ use std::path::{Path, PathBuf};
 use std::process::{Child, Command, Output, Stdio};
 
 /// Commands that are not run: how they begin, or a word in them, and why.
-const NOT_RUN: [(&str, &str); 24] = [
+const NOT_RUN: [(&str, &str); 27] = [
     ("cargo ", "builds from source; the tests, the gate and the harness of kills are run by CI"),
     ("bash .ci/run", "is CI itself"),
     ("crates/odograph-ros2/tests/run ", "needs Cyclone DDS; .ci/run does it where asked"),
     ("ros2:/", "needs a robot with ROS 2; crates/odograph-ros2 has its own tests"),
     ("ros2 run ", "needs an installation of ROS 2"),
+    ("ros2 service ", "needs an installation of ROS 2"),
+    ("ros2 param ", "needs an installation of ROS 2"),
+    ("ros2 launch ", "needs an installation of ROS 2"),
     ("podman ", "needs a container engine, and the images that it begins with"),
     ("pip ", "needs the index of Python's packages"),
     ("maturin ", "needs Python; CI builds the package"),

@@ -94,6 +94,7 @@ struct Watched {
     ended: AtomicBool,
     reconnects: AtomicU64,
     waiting: Mutex<Option<String>>,
+    notices: Mutex<Vec<String>>,
 }
 
 impl Watch {
@@ -120,6 +121,16 @@ impl Watch {
     /// No frames arrive at the moment, for a reason.
     pub fn lost(&self, why: &str) {
         *self.0.waiting.lock().unwrap_or_else(PoisonError::into_inner) = Some(why.to_owned());
+    }
+
+    /// Something about the source that a person should know at once, as a sentence.
+    pub fn notice(&self, sentence: String) {
+        self.0.notices.lock().unwrap_or_else(PoisonError::into_inner).push(sentence);
+    }
+
+    /// Returns and clears the notices since the last call.
+    pub fn take_notices(&self) -> Vec<String> {
+        std::mem::take(&mut *self.0.notices.lock().unwrap_or_else(PoisonError::into_inner))
     }
 
     /// Frames arrive again.

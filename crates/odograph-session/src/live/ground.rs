@@ -92,7 +92,7 @@ impl LiveGroundState {
 }
 
 impl LiveGround {
-    /// For a run with this output folder. Without viewers (`shown` is false) nothing is rendered
+    /// For a run with this output folder. If nobody looks (`shown` is false) nothing is rendered
     /// before the end.
     pub fn new(camera: Camera, folder: &Path, shown: bool) -> Self {
         let rendering = MosaicRendering::new(camera.clone(), folder, shown);

@@ -37,6 +37,7 @@ mod mcap;
 mod page_layers;
 mod pipeline;
 mod recorder;
+mod saved_map;
 mod sensors;
 mod sinks;
 mod source;
@@ -48,6 +49,7 @@ pub use line_source::LineSource;
 pub use map_graph::{map_graph, map_markers};
 pub use page_layers::show_map_of_run;
 pub use recorder::folder_name_now;
+pub use saved_map::save_map;
 pub use sensors::SensorSources;
 pub use sinks::{LiveFrame, PoseSink};
 pub use source::{CaptureOptions, LiveInput, open_live_input};
@@ -89,8 +91,11 @@ use std::time::Instant;
 pub struct LiveOptions {
     /// How frames are had.
     pub capture: CaptureOptions,
-    /// Whether somebody can look at the [`Hub`]: path and mosaic are then kept up to date in it.
+    /// Whether somebody can look at the [`Hub`], or set marks: the path is then kept up to date in
+    /// it.
     pub shown: bool,
+    /// Whether the mosaic is kept up to date in the hub as well.
+    pub mosaic: bool,
     /// An MCAP file to write poses, pictures and path into.
     pub mcap: Option<PathBuf>,
     /// A satellite receiver that sends its positions during the run.
@@ -179,7 +184,7 @@ impl RunBuilder {
             recovered: false,
             calibration: false,
         };
-        let ground = LiveGround::new(plan.camera.clone(), folder.path(), options.shown);
+        let ground = LiveGround::new(plan.camera.clone(), folder.path(), options.mosaic);
         let hub = Arc::new(Hub::new(introduction, Arc::new(ground.clone())));
         Ok(LiveRun {
             plan,
@@ -189,6 +194,7 @@ impl RunBuilder {
             folder,
             ground,
             hub,
+            shown: options.shown,
             mcap: options.mcap.clone(),
             gnss,
             sensors,
@@ -221,6 +227,7 @@ pub struct LiveRun {
     folder: OutputFolder,
     ground: LiveGround,
     hub: Arc<Hub>,
+    shown: bool,
     mcap: Option<PathBuf>,
     gnss: LiveGnss,
     sensors: LiveSensors,
@@ -261,6 +268,11 @@ impl LiveRun {
         self.folder.path()
     }
 
+    /// The map file that the run makes or continues.
+    pub fn map(&self) -> PathBuf {
+        self.output.map.path().map_or_else(|| self.folder().join("map.gpkg"), Path::to_owned)
+    }
+
     /// Follows the source until it ends, or until the observer or the hub asks to stop; then writes
     /// everything into the folder.
     ///
@@ -274,7 +286,20 @@ impl LiveRun {
 
     fn followed(self, poses: Option<&mut dyn PoseSink>, observer: &dyn Observer) -> Result<RunOutcome> {
         let Self {
-            plan, info, input, watch, folder, ground, hub, mcap, gnss, sensors, output, reporter, ..
+            plan,
+            info,
+            input,
+            watch,
+            folder,
+            ground,
+            hub,
+            shown,
+            mcap,
+            gnss,
+            sensors,
+            output,
+            reporter,
+            ..
         } = self;
         // Of a map that is continued the lens is the map's.
         let lens_is_known = output.map.path().is_some_and(MapFile::is_there);
@@ -293,7 +318,7 @@ impl LiveRun {
             observer,
             started: Instant::now(),
         };
-        let sinks = LiveSinks { poses, log: log.as_ref() };
+        let sinks = LiveSinks { poses, log: log.as_ref(), shown };
         let input = PipelineInput { frames: input, gnss, fusion: LiveFusion::new(sensors) };
         pipeline::follow(&plan, odometry, input, &watch, &ground, &hub, mapping, recorder, sinks, &ending)
     }

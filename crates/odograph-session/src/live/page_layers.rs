@@ -85,7 +85,9 @@ fn coarse(mask: &ImageMask) -> Value {
 /// Shows path, mosaic and map as they were written. What cannot be read stays as it was during the
 /// run.
 pub fn show_results(hub: &Hub, ground: &LiveGround, folder: &Path) {
-    if let Ok(Some(picture)) = GroundPicture::of_run(folder, MAX_SHOWN_PIXELS) {
+    if ground.is_shown()
+        && let Ok(Some(picture)) = GroundPicture::of_run(folder, MAX_SHOWN_PIXELS)
+    {
         ground.show_written(picture);
     }
     let table = fs::read_to_string(folder.join("trajectory.csv"));

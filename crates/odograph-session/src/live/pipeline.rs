@@ -49,7 +49,7 @@ const MAPPING_QUEUE: usize = 32;
 /// queue is empty: without it the map is faster than keyframes can come.
 const BEHIND: usize = 8;
 
-/// Time for which the page shows what was said about the sensors.
+/// Time for which the page shows what was said about the source or its sensors.
 const SENSORS_TOLD: Duration = Duration::from_secs(20);
 
 /// Inputs of the pipeline.
@@ -72,7 +72,7 @@ pub fn follow(
     sinks: LiveSinks<'_, '_>,
     ending: &Ending<'_>,
 ) -> Result<RunOutcome> {
-    let LiveSinks { poses, log } = sinks;
+    let LiveSinks { poses, log, shown } = sinks;
     let mut following = Following {
         tracker,
         frames: KeptFrames::new(recorder.path()),
@@ -85,7 +85,7 @@ pub fn follow(
         observer: ending.observer,
         log,
         hub,
-        shown: ground.is_shown(),
+        shown,
         gnss: &gnss,
         fusion,
         told: None,
@@ -132,7 +132,7 @@ pub fn follow(
     tracked.warnings.extend(left_out);
     let ending = Ending { sensors: &sensors, gnss: gnss.as_ref(), ..*ending };
     let outcome = finish(plan, tracked, &mut folder, &ending)?;
-    if ground.is_shown() {
+    if shown {
         show_results(hub, ground, folder.path());
     }
     let failure = log.and_then(McapLog::take_failure);
@@ -202,11 +202,11 @@ struct Following<'a, 'p> {
     observer: &'a dyn Observer,
     log: Option<&'a McapLog>,
     hub: &'a Hub,
-    /// Whether there may be viewers.
+    /// Whether the path is kept in the hub.
     shown: bool,
     gnss: &'a LiveGnss,
     fusion: LiveFusion,
-    /// What was last said about the sensors, and when.
+    /// What was last said about the source or its sensors, and when.
     told: Option<(Instant, String)>,
     watch: &'a Watch,
     queue: Arc<Newest<(Captured, Duration)>>,
@@ -374,7 +374,7 @@ impl Following<'_, '_> {
 
     fn send_status(&mut self, phase: Phase) {
         self.status_sent = Some(Instant::now());
-        for sentence in self.fusion.take_news() {
+        for sentence in self.fusion.take_news().into_iter().chain(self.watch.take_notices()) {
             self.observer.warn(&sentence);
             self.told = Some((Instant::now(), sentence));
         }

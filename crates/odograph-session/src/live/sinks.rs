@@ -34,4 +34,6 @@ pub trait PoseSink {
 pub struct LiveSinks<'a, 'p> {
     pub poses: Option<&'a mut (dyn PoseSink + 'p)>,
     pub log: Option<&'a McapLog>,
+    /// Whether the path is kept in the hub.
+    pub shown: bool,
 }

@@ -31,6 +31,26 @@ impl Cdr {
         self.0.extend(value.to_le_bytes());
     }
 
+    pub fn bool(&mut self, value: bool) {
+        self.u8(u8::from(value));
+    }
+
+    pub fn i64(&mut self, value: i64) {
+        self.align(8);
+        self.0.extend(value.to_le_bytes());
+    }
+
+    pub fn f32(&mut self, value: f32) {
+        self.align(4);
+        self.0.extend(value.to_le_bytes());
+    }
+
+    /// Bytes with their number before them.
+    pub fn bytes(&mut self, bytes: &[u8]) {
+        self.u32(u32::try_from(bytes.len()).unwrap_or(u32::MAX));
+        self.0.extend(bytes);
+    }
+
     pub fn doubles(&mut self, values: impl IntoIterator<Item = f64>) {
         self.align(8);
         values.into_iter().for_each(|value| self.0.extend(value.to_le_bytes()));
@@ -43,10 +63,15 @@ impl Cdr {
         self.0.push(0);
     }
 
-    /// `std_msgs/Header`.
-    pub fn header(&mut self, time_ns: u64, frame: &str) {
+    /// `builtin_interfaces/Time`.
+    pub fn time(&mut self, time_ns: u64) {
         self.u32((time_ns / 1_000_000_000) as u32);
         self.u32((time_ns % 1_000_000_000) as u32);
+    }
+
+    /// `std_msgs/Header`.
+    pub fn header(&mut self, time_ns: u64, frame: &str) {
+        self.time(time_ns);
         self.text(frame);
     }
 

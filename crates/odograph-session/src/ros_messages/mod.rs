@@ -5,6 +5,17 @@
 //! in which loops have corrected them.
 
 mod cdr;
+mod ground;
+mod parameters;
+mod services;
+
+pub use ground::{GroundRaster, compressed_image, map_meta_data, occupancy_grid};
+pub use parameters::{
+    Parameter, ParameterValue, parameter_descriptions, parameter_event, parameter_list, parameter_result,
+    parameter_results, parameter_types, parameter_values, requested_changes, requested_names,
+    requested_prefixes,
+};
+pub use services::trigger_response;
 
 use cdr::Cdr;
 use nalgebra::{Isometry3, Matrix6};

@@ -30,7 +30,7 @@ impl Serialization {
 
 /// Cursor over a message; every read returns `None` past the end.
 #[derive(Debug, Clone)]
-pub(crate) struct MessageCursor<'a> {
+pub struct MessageCursor<'a> {
     data: &'a [u8],
     at: usize,
     /// Largest alignment of a number, bytes, counted from the start of `data`: 1 packs them.
@@ -47,6 +47,7 @@ pub(crate) struct Header<'a> {
 
 macro_rules! number {
     ($name:ident) => {
+        /// Reads a number.
         pub fn $name(&mut self) -> Option<$name> {
             const BYTES: usize = size_of::<$name>();
             let alignment = self.alignment.min(BYTES);
@@ -59,12 +60,18 @@ macro_rules! number {
 
 impl<'a> MessageCursor<'a> {
     /// Cursor over packed little-endian data.
-    pub fn packed(data: &'a [u8]) -> Self {
+    pub(crate) fn packed(data: &'a [u8]) -> Self {
         Self { data, at: 0, alignment: 1, big_endian: false }
     }
 
+    /// Cursor over a message of ROS 2, in CDR behind its four bytes of representation; `None` if it
+    /// has none that ROS 2 uses.
+    pub fn cdr(data: &'a [u8]) -> Option<Self> {
+        Self::new(data, &Serialization::Cdr)
+    }
+
     /// Cursor over a message; `None` if its serialisation is not one of the two.
-    pub fn new(data: &'a [u8], serialization: &Serialization) -> Option<Self> {
+    pub(crate) fn new(data: &'a [u8], serialization: &Serialization) -> Option<Self> {
         match serialization {
             Serialization::Ros1 => Some(Self::packed(data)),
             Serialization::Cdr => {
@@ -89,6 +96,7 @@ impl<'a> MessageCursor<'a> {
     number!(f32);
     number!(f64);
 
+    /// Reads a number of bytes.
     pub fn take(&mut self, count: usize) -> Option<&'a [u8]> {
         let taken = self.data.get(self.at..)?.get(..count)?;
         self.at += count;
@@ -106,6 +114,7 @@ impl<'a> MessageCursor<'a> {
         self.take(count)
     }
 
+    /// Reads a text.
     pub fn string(&mut self) -> Option<Cow<'a, str>> {
         let text = self.bytes()?;
         // CDR ends a string with a zero and counts it.
@@ -116,6 +125,7 @@ impl<'a> MessageCursor<'a> {
         }))
     }
 
+    /// Reads as many numbers.
     pub fn doubles<const N: usize>(&mut self) -> Option<[f64; N]> {
         let mut numbers = [0.0; N];
         for number in &mut numbers {
@@ -138,7 +148,7 @@ impl<'a> MessageCursor<'a> {
         Some(seconds * 1_000_000_000 + i64::from(nanoseconds))
     }
 
-    pub fn header(&mut self) -> Option<Header<'a>> {
+    pub(crate) fn header(&mut self) -> Option<Header<'a>> {
         if self.alignment == 1 {
             // The sequence number of ROS 1.
             self.u32()?;

@@ -26,6 +26,7 @@ mod topics;
 
 pub use camera::recorded_camera;
 pub(crate) use contents::contents;
+pub use cursor::MessageCursor;
 use files::{BagFormat, Files};
 pub(crate) use frames::open_frames;
 pub use live_topic::{LiveMessage, LiveTopic, LiveTransforms};

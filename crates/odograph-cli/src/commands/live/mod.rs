@@ -126,7 +126,8 @@ pub fn live(arguments: LiveArguments) -> Result<Outcome> {
     let NamedSensors { files, received, gnss } = arguments.sensors.named(&arguments.source)?;
     let options = LiveOptions {
         capture: arguments.capture.options(),
-        shown: arguments.serve.serve.is_some(),
+        shown: arguments.serve.serve.is_some() || arguments.ros2.publishes(),
+        mosaic: arguments.serve.serve.is_some() || arguments.ros2.publishes_ground(),
         mcap: arguments.mcap.clone(),
         gnss,
         sensors: received,
@@ -135,8 +136,7 @@ pub fn live(arguments: LiveArguments) -> Result<Outcome> {
         Some(ros2) => ros2.open(arguments.builder(), &options, &observer, &mut outputs)?,
         None => arguments.builder().sensors(files).open_live(&options, &observer)?,
     };
-    let map = arguments.map.clone().unwrap_or_else(|| run.folder().join("map.gpkg"));
-    let link = arguments.site.start(&map, run.folder(), arguments.quiet)?;
+    let link = arguments.site.start(&run.map(), run.folder(), arguments.quiet)?;
     outputs.tell_losses_to(link.clone());
     let serving = Serving::start(&arguments.serve, Arc::clone(run.hub()), Offer::of_run(run.folder()))?;
     serving.show_address("", arguments.quiet);

@@ -4,8 +4,8 @@ use super::super::LiveArguments;
 use super::super::outputs::Outputs;
 use super::{Ros2Part, SOURCE};
 use odograph::error::{Error, Result};
-use odograph_live::capture::Policy;
-use odograph_ros2::{ImageOptions, Images, Node, Part, PublisherOptions, RunPublisher, TopicName};
+use odograph_live::capture::{Policy, without_credentials};
+use odograph_ros2::{ImageOptions, Images, Node, Part, PublisherOptions, RunPublisher, Services, TopicName};
 use odograph_session::live::{LiveInput, LiveOptions, LiveRun};
 use odograph_session::{Observer, RunBuilder, SensorFiles, rig_of_mount};
 
@@ -13,8 +13,9 @@ use odograph_session::{Observer, RunBuilder, SensorFiles, rig_of_mount};
 pub struct Ros2Run {
     node: Node,
     images: Option<Images>,
-    publishing: Option<PublisherOptions>,
+    publishing: Option<(PublisherOptions, Services)>,
     sensors: SensorFiles,
+    waits: bool,
     needs_camera: bool,
     needs_mount: bool,
     height_m: Option<f64>,
@@ -28,6 +29,8 @@ impl From<Ros2Part> for Part {
             Ros2Part::CameraTf => Self::CameraTransform,
             Ros2Part::Path => Self::Path,
             Ros2Part::Diagnostics => Self::Diagnostics,
+            Ros2Part::Grid => Self::Grid,
+            Ros2Part::Mosaic => Self::Mosaic,
         }
     }
 }
@@ -55,8 +58,9 @@ impl Ros2Run {
             None => None,
         };
         let wheel = topic(&ros2.wheel_topic)?;
-        if let Some(wheel) =
-            wheel.as_ref().filter(|wheel| publishing.iter().any(|out| out.odometry == **wheel))
+        if let Some(wheel) = wheel
+            .as_ref()
+            .filter(|wheel| publishing.iter().any(|out: &PublisherOptions| out.odometry == **wheel))
         {
             return Err(Error::usage(format!(
                 "{wheel} is both read (--wheel-topic) and published (--ros2); give another name with --ros2=TOPIC"
@@ -72,6 +76,12 @@ impl Ros2Run {
             ..files.clone()
         };
         let node = Node::join()?;
+        let offered = |options| {
+            let services =
+                Services::announce(&node, &without_credentials(&arguments.source), ros2.ros2_wait)?;
+            Ok::<_, Error>((options, services))
+        };
+        let publishing = publishing.map(offered).transpose()?;
         let options = images.map(|images| {
             let options = ImageOptions { camera_info, gyro, wheel, range, ..ImageOptions::new(images) };
             let patience = arguments.capture.options().patience.unwrap_or(options.patience);
@@ -84,6 +94,7 @@ impl Ros2Run {
             images,
             publishing,
             sensors,
+            waits: ros2.ros2_wait,
             needs_camera: setup.camera.is_none() && setup.field_of_view.is_none(),
             needs_mount: setup.rig.is_none() && setup.field_of_view.is_none(),
             height_m: setup.height.as_ref().map(|height| height.metres),
@@ -98,19 +109,25 @@ impl Ros2Run {
         observer: &dyn Observer,
         outputs: &mut Outputs,
     ) -> Result<LiveRun> {
-        let Self { node, images, mut publishing, sensors, needs_camera, needs_mount, height_m } = self;
+        let Self { node, images, mut publishing, sensors, waits, needs_camera, needs_mount, height_m } = self;
+        if let Some((_, services)) = &publishing {
+            services.wait_for_start(observer)?;
+        }
         let Some(mut images) = images else {
             let run = run.sensors(sensors).open_live(options, observer)?;
-            if let Some(publishing) = publishing {
-                outputs.publish_with(RunPublisher::new(&node, &publishing, None)?);
+            if let Some((publishing, services)) = publishing {
+                outputs.publish_with(RunPublisher::new(&node, &publishing, None, services, &run)?);
             }
             return Ok(run);
         };
+        if waits {
+            images.begin_again();
+        }
         if needs_camera {
             run = run.camera(images.camera(observer)?);
         }
         if needs_mount && let Some(mount) = images.mount(observer)? {
-            if let Some(publishing) = &mut publishing {
+            if let Some((publishing, _)) = &mut publishing {
                 publishing.camera_is_placed = true;
             }
             if let Some(rig) = rig_of_mount(&mount, "this robot", height_m, observer) {
@@ -123,8 +140,8 @@ impl Ros2Run {
             link = Some(source.link());
             Ok(LiveInput { source: Box::new(source), policy: Policy::NewestWins })
         })?;
-        if let Some(publishing) = publishing {
-            outputs.publish_with(RunPublisher::new(&node, &publishing, link)?);
+        if let Some((publishing, services)) = publishing {
+            outputs.publish_with(RunPublisher::new(&node, &publishing, link, services, &run)?);
         }
         Ok(run)
     }

@@ -18,15 +18,18 @@ const SOURCE: &str = "ros2:";
 #[derive(Debug, Clone, Default, clap::Args)]
 #[command(next_help_heading = "ROS 2")]
 pub struct Ros2Arguments {
-    /// Publish odometry on a topic (with no name: /odom), transforms, path and diagnostics.
+    /// Publish odometry on a topic (with no name: /odom), transforms, path, grid and diagnostics.
     ///
-    /// nav_msgs/Odometry with its covariance; /tf, /tf_static, /odograph/path, /diagnostics. The
-    /// domain is that of ROS_DOMAIN_ID.
+    /// nav_msgs/Odometry with its covariance; /tf, /tf_static, /odograph/path, /odograph/grid,
+    /// /odograph/mosaic/compressed, /diagnostics. The domain is that of ROS_DOMAIN_ID.
     #[arg(long, value_name = "TOPIC", num_args = 0..=1, require_equals = true, default_missing_value = "/odom", hide = !cfg!(feature = "ros2"))]
     pub ros2: Option<String>,
     /// Leave something out of what is published; several with commas.
     #[arg(long, value_name = "PART", value_delimiter = ',', requires = "ros2", hide = !cfg!(feature = "ros2"))]
     pub ros2_without: Vec<Ros2Part>,
+    /// Wait for the service /odograph/start before the run begins.
+    #[arg(long, requires = "ros2", hide = !cfg!(feature = "ros2"))]
+    pub ros2_wait: bool,
     /// Camera of the images (sensor_msgs/CameraInfo), where it is not beside them.
     #[arg(long, value_name = "TOPIC", hide = !cfg!(feature = "ros2"))]
     pub camera_info_topic: Option<String>,
@@ -54,9 +57,24 @@ pub enum Ros2Part {
     Path,
     /// diagnostic_msgs/DiagnosticArray.
     Diagnostics,
+    /// nav_msgs/OccupancyGrid of the ground seen.
+    Grid,
+    /// The mosaic as sensor_msgs/CompressedImage, with its georeference.
+    Mosaic,
 }
 
 impl Ros2Arguments {
+    /// Whether anything is published.
+    pub fn publishes(&self) -> bool {
+        self.ros2.is_some()
+    }
+
+    /// Whether the ground is published.
+    pub fn publishes_ground(&self) -> bool {
+        let of_ground = [Ros2Part::Grid, Ros2Part::Mosaic];
+        self.publishes() && !of_ground.iter().all(|part| self.ros2_without.contains(part))
+    }
+
     /// The first topic that is taken from ROS 2 beside the images, by its option.
     fn topic_beside_images(&self) -> Option<&'static str> {
         let Self { camera_info_topic, gyro_topic, wheel_topic, range_topic, .. } = self;

@@ -4,16 +4,13 @@
 use crate::{files, interrupt};
 use odograph::error::{Error, Result};
 use odograph::mosaic::MOSAIC_TILE_PX;
+use odograph_live::{CELL_M, LEAST_CELL_PX, SEEN_SHARE};
 use odograph_map::{MapFile, MosaicLayer};
 use std::collections::VecDeque;
 use std::io::Write;
 use std::ops::Range;
 use std::path::{Path, PathBuf};
 
-/// Side of a cell unless the mosaic is too coarse for it, metres: that of Nav2's maps.
-const DEFAULT_CELL_M: f64 = 0.05;
-/// A cell has at least this many pixels of the mosaic along its side.
-const LEAST_PX: f64 = 2.0;
 /// Pixels along the side of a cell that determine its area well enough: coarser levels of the
 /// mosaic are read faster.
 const ENOUGH_PX: f64 = 8.0;
@@ -69,8 +66,8 @@ struct Grid {
 impl Grid {
     fn of(file: &MapFile, layer: &MosaicLayer, asked_m: Option<f64>) -> Result<Self> {
         let finest_m = layer.resolution_m;
-        let too_fine = |cell_m: f64| cell_m < LEAST_PX * finest_m;
-        let mut grid = Self::with_cells(layer, asked_m.unwrap_or(DEFAULT_CELL_M));
+        let too_fine = |cell_m: f64| cell_m < LEAST_CELL_PX * finest_m;
+        let mut grid = Self::with_cells(layer, asked_m.unwrap_or(CELL_M));
         while asked_m.is_none() && (too_fine(grid.cell_m) || grid.cells() > MOST_CELLS) {
             grid = Self::with_cells(layer, 2.0 * grid.cell_m);
         }
@@ -80,7 +77,7 @@ impl Grid {
                  a finer mosaic: odograph map mosaic {}",
                 grid.cell_m,
                 1e3 * finest_m,
-                LEAST_PX * finest_m,
+                LEAST_CELL_PX * finest_m,
                 file.path().display()
             )));
         }
@@ -139,7 +136,7 @@ impl Grid {
         let width = (self.columns.end - self.columns.start) as usize;
         let not_written = |error| Error::not_written(path.display(), error);
         write!(output, "P5\n{width} {}\n255\n", self.rows.end - self.rows.start).map_err(not_written)?;
-        let least = (0.5 * (self.cell_m / self.pixel_m).powi(2)).ceil() as u32;
+        let least = (SEEN_SHARE * (self.cell_m / self.pixel_m).powi(2)).ceil() as u32;
         let mut free = 0;
         let mut write_row = |seen: &[u32]| {
             let gray: Vec<u8> = seen.iter().map(|&seen| if seen >= least { FREE } else { UNKNOWN }).collect();
