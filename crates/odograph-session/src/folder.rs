@@ -245,7 +245,7 @@ impl OutputFolder {
 
     fn write_paths(&mut self, frames: &mut KeptFrames, of: &PoseFrames, run_toml: &str) -> Result<()> {
         let path = self.path.join("trajectory.csv");
-        files::write_by_way_of(&self.path.join("trajectory.csv.new"), &path, |output| {
+        files::fill_by_way_of(&self.path.join("trajectory.csv.new"), &path, |output| {
             lines_into(output, &path, FRAMES_HEADER, |put| {
                 frames.each(|frame, _| put(&frame_line(&of.frame(frame))))
             })
@@ -257,9 +257,7 @@ impl OutputFolder {
             frames.each(|frame, _| of.stamped(frame).as_ref().map_or(Ok(()), &mut *put))
         })?;
         let path = self.path.join("run.toml");
-        files::write_by_way_of(&self.path.join("run.toml.new"), &path, |output| {
-            output.write_all(run_toml.as_bytes()).map_err(|error| files::cannot_be_written(&path, error))
-        })?;
+        files::write_by_way_of(&self.path.join("run.toml.new"), &path, run_toml.as_bytes())?;
         self.is_written(path);
         Ok(())
     }

@@ -4,11 +4,10 @@ use super::{FormatName, SimulateArguments, y4m};
 use crate::files::{self, MadeFolders};
 use crate::interrupt;
 use indicatif::{ProgressBar, ProgressStyle};
-use jpeg_encoder::{ColorType, Encoder};
 use odograph::camera::Camera;
 use odograph::error::{Error, Result};
 use odograph::image::{GrayImage, RgbImage};
-use odograph_video::{AviFormat, AviWriter};
+use odograph_video::{AviFormat, AviWriter, jpeg_from_gray, jpeg_from_rgb};
 use std::collections::BTreeMap;
 use std::fmt::Write as _;
 use std::fs;
@@ -301,15 +300,10 @@ impl SimulationOutput {
 }
 
 fn jpeg(frame: &Picture) -> Result<Vec<u8>> {
-    let mut bytes = vec![];
-    let encoder = Encoder::new(&mut bytes, JPEG_QUALITY);
-    let (width, height) = (frame.gray.width() as u16, frame.gray.height() as u16);
-    let encoded = match &frame.color {
-        Some(color) => encoder.encode(color.samples(), width, height, ColorType::Rgb),
-        None => encoder.encode(frame.gray.samples(), width, height, ColorType::Luma),
-    };
-    encoded.map_err(|error| Error::output(format!("a {width}x{height} JPEG cannot be encoded: {error}")))?;
-    Ok(bytes)
+    match &frame.color {
+        Some(color) => jpeg_from_rgb(color, JPEG_QUALITY),
+        None => jpeg_from_gray(&frame.gray, JPEG_QUALITY),
+    }
 }
 
 fn picture_name(number: usize) -> String {
