@@ -178,10 +178,25 @@ impl OutputFolder {
 
     /// Writes one file.
     pub fn write(&mut self, name: &str, bytes: &[u8]) -> Result<()> {
+        self.replace(name, Some(Ok(bytes)))
+    }
+
+    /// Records a file as written. Where it could not be, that of an earlier run is removed, which
+    /// would be taken for one of this run.
+    fn in_place_of_earlier(&mut self, path: PathBuf, written: Result<()>) -> Result<()> {
+        match &written {
+            Ok(()) => self.is_written(path),
+            Err(_) => drop(fs::remove_file(path)),
+        }
+        written
+    }
+
+    /// Writes one file, or removes that of an earlier run where there is none now.
+    pub fn replace(&mut self, name: &str, bytes: Option<Result<impl AsRef<[u8]>>>) -> Result<()> {
+        let Some(bytes) = bytes else { return self.remove(name) };
         let path = self.path.join(name);
-        files::write(&path, bytes)?;
-        self.is_written(path);
-        Ok(())
+        let written = bytes.and_then(|bytes| files::write(&path, bytes.as_ref()));
+        self.in_place_of_earlier(path, written)
     }
 
     /// Records the name of a written file.
@@ -209,9 +224,8 @@ impl OutputFolder {
         fill: impl FnOnce(&mut dyn FnMut(&str) -> Result<()>) -> Result<()>,
     ) -> Result<()> {
         let path = self.path.join(name);
-        write_lines(&path, header, fill)?;
-        self.is_written(path);
-        Ok(())
+        let written = files::write_with(&path, |output| lines_into(output, &path, header, fill));
+        self.in_place_of_earlier(path, written)
     }
 
     /// Writes the trajectory of a frame as TUM text from the poses that `fill` gives.
@@ -346,14 +360,6 @@ fn claims(own_map: &Path, map: &MapUse) -> Result<Vec<MapClaim>> {
         claims.push(MapClaim::on(map)?);
     }
     Ok(claims)
-}
-
-fn write_lines(
-    path: &Path,
-    header: &str,
-    fill: impl FnOnce(&mut dyn FnMut(&str) -> Result<()>) -> Result<()>,
-) -> Result<()> {
-    files::write_with(path, |output| lines_into(output, path, header, fill))
 }
 
 /// Writes a header and the lines that `fill` gives; `path` is named in errors.
