@@ -154,6 +154,63 @@ pub fn make_folder(path: &Path) -> Result<()> {
     })
 }
 
+/// Folders that were made for results, the innermost first. Those that are still empty when this is
+/// dropped are removed.
+#[must_use = "the folders are removed again unless something is written into them first"]
+#[derive(Debug, Default)]
+pub struct MadeFolders(Vec<PathBuf>);
+
+impl Drop for MadeFolders {
+    fn drop(&mut self) {
+        for folder in &self.0 {
+            let _ = fs::remove_dir(folder);
+        }
+    }
+}
+
+/// Space that the results of a calibration need, bytes.
+const SPACE: usize = 1 << 20;
+
+impl MadeFolders {
+    /// Makes a folder with those that it is in, as far as they are missing.
+    ///
+    /// # Errors
+    /// If that is not possible; the message names what is in the way.
+    pub fn new(folder: &Path) -> Result<Self> {
+        if folder.as_os_str().is_empty() {
+            return Ok(Self::default());
+        }
+        let missing = |folder: &&Path| !folder.as_os_str().is_empty() && !folder.exists();
+        let made = Self(folder.ancestors().take_while(missing).map(Path::to_owned).collect());
+        make_folder(folder)?;
+        Ok(made)
+    }
+
+    /// Whether any was made.
+    pub fn is_any(&self) -> bool {
+        !self.0.is_empty()
+    }
+
+    /// The folder that a file is to be written into, made where it is missing.
+    ///
+    /// # Errors
+    /// As [`MadeFolders::new`].
+    pub fn of_file(path: &Path) -> Result<Self> {
+        Self::new(path.parent().unwrap_or(Path::new("")))
+    }
+
+    /// The same before minutes of work: fails if the file cannot be written there, or the disk is
+    /// full.
+    ///
+    /// # Errors
+    /// If it cannot.
+    pub fn of_result(path: &Path) -> Result<Self> {
+        let made = Self::of_file(path)?;
+        check_writable(path, SPACE)?;
+        Ok(made)
+    }
+}
+
 /// Reads a text file of at most `most` bytes of UTF-8. A folder, pipe or device is refused.
 pub fn read_text_within(path: &Path, most: u64) -> Result<String> {
     let bytes = read_regular_file(path, most).map_err(|error| {

@@ -2,7 +2,7 @@
 //! computed frames are on disk if the program is killed.
 
 use crate::begun_run::{self, begun_file};
-use crate::files;
+use crate::files::{self, MadeFolders};
 use crate::growing_table::GrowingTable;
 use crate::kept_frames::KeptFrames;
 use crate::output::{MapUse, RunOutput};
@@ -59,13 +59,14 @@ pub struct OutputFolder {
     had_map: bool,
     /// Origin of the session, where the robot has a name.
     origin: Option<SessionOrigin>,
-    /// Folders created for this run, the innermost first.
-    made: Vec<PathBuf>,
     /// Claims on the folder's map, which keeps other runs out of the folder, and on the continued
     /// map.
     claims: Vec<MapClaim>,
     /// The files that were written, in order.
     written: Vec<PathBuf>,
+    /// Folders created for this run, which are removed again where nothing is in them; dropped
+    /// last.
+    _made: MadeFolders,
 }
 
 impl Drop for OutputFolder {
@@ -80,15 +81,7 @@ impl Drop for OutputFolder {
                 let _ = self.claims[0].remove_map();
             }
             self.claims.clear();
-            remove_folders(&self.made);
         }
-    }
-}
-
-/// Removes empty folders, the innermost first.
-fn remove_folders(folders: &[PathBuf]) {
-    for folder in folders {
-        let _ = fs::remove_dir(folder);
     }
 }
 
@@ -101,17 +94,11 @@ impl OutputFolder {
         let own_map = path.join(MAP_FILE);
         let origin = output.origin()?;
         check_free(path, force)?;
-        let missing = |folder: &&Path| !folder.as_os_str().is_empty() && !folder.exists();
-        let made: Vec<PathBuf> = path.ancestors().take_while(missing).map(Path::to_owned).collect();
-        let undone = |error| {
-            remove_folders(&made);
-            error
-        };
-        files::make_folder(path).map_err(&undone)?;
-        let claims = claims(&own_map, &output.map).map_err(&undone)?;
+        let made = MadeFolders::new(path)?;
+        let claims = claims(&own_map, &output.map)?;
         // Another run may have ended here since.
         check_free(path, force)?;
-        let growing = GrowingTable::create(path).map_err(&undone)?;
+        let growing = GrowingTable::create(path)?;
         let had_map = MapFile::is_there(&own_map);
         Ok(Self {
             path: path.to_owned(),
@@ -120,9 +107,9 @@ impl OutputFolder {
             begun: false,
             had_map,
             origin,
-            made,
             claims,
             written: Vec::new(),
+            _made: made,
         })
     }
 
