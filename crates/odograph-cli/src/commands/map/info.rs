@@ -3,7 +3,7 @@
 use super::root;
 use crate::{Outcome, console};
 use odograph::camera::{Camera, Rig};
-use odograph::error::{Error, Result};
+use odograph::error::Result;
 use odograph::formats::decimal::Rounded;
 use odograph::ground_map::GroundMap;
 use odograph::keyframe::{EdgeKind, KeyframeId};
@@ -126,10 +126,7 @@ pub fn info(arguments: &MapInfoArguments) -> Result<Outcome> {
     }
     let info = gathered(&file)?;
     if arguments.json {
-        let text = serde_json::to_string_pretty(&info).map_err(|error| {
-            Error::output(format!("the facts about the map cannot be written as JSON: {error}"))
-        })?;
-        console::print(&(text + "\n"))?;
+        console::print_json("the facts about the map", &info)?;
     } else {
         console::print(&described(&info, arguments.check))?;
     }

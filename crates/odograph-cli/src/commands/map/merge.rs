@@ -55,14 +55,8 @@ pub fn merge(arguments: &MergeArguments) -> Result<Outcome> {
     let [first, others @ ..] = arguments.maps.as_slice() else {
         return Err(Error::usage("give two maps or more to join"));
     };
-    // After a failure an existing file is unchanged, and no partial map is left.
-    let beside = files::beside(&arguments.output);
-    MapFile::remove(&beside)?;
-    let joined = joined(first, others, &beside, arguments);
-    let summary = joined.inspect_err(|_| {
-        let _ = MapFile::remove(&beside);
-    })?;
-    MapFile::replace(&claim, &beside)?;
+    let summary =
+        super::replaced(&claim, &arguments.output, |beside| joined(first, others, beside, arguments))?;
     if !arguments.quiet {
         console::print(&format!("{summary}Wrote {}\n", console::name(&arguments.output)))?;
     }
