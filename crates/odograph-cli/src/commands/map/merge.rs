@@ -235,6 +235,7 @@ fn join(mut file: MapFile, path: &Path, arguments: &MergeArguments) -> Result<(M
             })
             .collect();
         file.set_path(new, &corrected_path(&other.path_of(old)?, &moves))?;
+        file.set_losses(new, &other.losses_of(old)?)?;
     }
     Ok((file, Added { merged, mosaic_m, warning }))
 }

@@ -199,7 +199,7 @@ fn a_full_file_system() {
 }
 
 #[test]
-fn the_reason_of_a_loss_is_printed() {
+fn the_reason_of_a_loss_is_printed_and_is_in_the_map() {
     let place = HostileFolder::new();
     let mut video = y4m(60);
     let frames: Vec<usize> =
@@ -212,8 +212,25 @@ fn the_reason_of_a_loss_is_printed() {
     fs::write(place.path("drive.y4m"), video).unwrap();
     let done = place.run("drive.y4m --camera camera.yaml --height 1 --motion rigid -o out");
     let message = String::from_utf8_lossy(&done.stderr).into_owned();
-    let note = message.lines().find(|line| line.starts_with("note: lost from "));
-    assert!(note.is_some_and(|note| note.contains("too dark to see anything")), "{message}");
+    let note = message.lines().find_map(|line| line.strip_prefix("note: "));
+    let note = note.filter(|note| note.starts_with("lost from ")).unwrap_or_else(|| panic!("{message}"));
+    assert!(note.contains("too dark to see anything"), "{message}");
+    // The map says the same, and so does what is saved of it.
+    let map = |arguments: &str| {
+        let mut command = Command::new(env!("CARGO_BIN_EXE_odograph"));
+        command.current_dir(place.path("")).arg("map").args(arguments.split(' '));
+        String::from_utf8(command.output().unwrap().stdout).unwrap()
+    };
+    map("repair out/map.gpkg -o repaired.gpkg");
+    for file in ["out/map.gpkg", "repaired.gpkg"] {
+        let shown = map(&format!("info {file} --check"));
+        assert!(shown.lines().any(|line| line.trim() == note), "{file}: {shown}");
+    }
+    let facts: serde_json::Value = serde_json::from_str(&map("info out/map.gpkg --json")).unwrap();
+    let loss = &facts["sessions"][0]["losses"][0];
+    assert_eq!((loss["frames"].as_u64(), loss["reasons"][0].as_str()), (Some(15), Some("dark")), "{loss}");
+    let [start_s, end_s] = ["start_s", "end_s"].map(|name| loss[name].as_f64().unwrap());
+    assert!((start_s - 1.0).abs() < 1e-6 && (end_s - 1.5).abs() < 0.2, "{loss}");
 }
 
 #[test]
