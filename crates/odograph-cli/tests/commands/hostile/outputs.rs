@@ -154,7 +154,8 @@ fn a_full_disk() {
         let left = names(&out);
         let halves: Vec<&String> = left.iter().filter(|left| left.ends_with(".part")).collect();
         assert_eq!(halves, stay, "{name}");
-        // Without the path there is nothing else; what is made from it is written without the others.
+        // Without the path there is nothing else; what is made from it is written without the
+        // others.
         let made_from_path = !["trajectory.csv", "trajectory.tum", "run.toml"].contains(&name);
         for other in FILES.into_iter().filter(|other| made_from_path && *other != name) {
             let goes_with = other.starts_with("carrier") || other.starts_with("trajectory-smoothed");
