@@ -2,6 +2,7 @@
 
 use indicatif::{ProgressBar, ProgressStyle};
 use odograph::error::{Error, Result};
+use serde::Serialize;
 use std::borrow::Cow;
 use std::ffi::OsStr;
 use std::io::{self, IsTerminal, Write};
@@ -45,6 +46,13 @@ pub fn source(typed: &str) -> String {
 pub fn print(text: &str) -> Result<()> {
     let mut output = io::stdout().lock();
     written(output.write_all(escaped(text, &['\n', '\t']).as_bytes()).and_then(|()| output.flush()))
+}
+
+/// Prints a result as JSON; `what` names it in an error.
+pub fn print_json(what: &str, result: &impl Serialize) -> Result<()> {
+    let text = serde_json::to_string_pretty(result)
+        .map_err(|error| Error::output(format!("{what} cannot be written as JSON: {error}")))?;
+    print(&(text + "\n"))
 }
 
 /// The outcome of writing to standard output, where a closed pipe is not an error.
@@ -132,6 +140,11 @@ pub fn progress_as([bar, count]: [&str; 2], frames: Option<u64>, quiet: bool) ->
         progress.set_style(style);
     }
     progress
+}
+
+/// A bar of as many steps as its user sets, by a template of indicatif.
+pub fn bar(template: &str, quiet: bool) -> ProgressBar {
+    progress_as([template; 2], Some(0), quiet)
 }
 
 #[cfg(test)]

@@ -8,6 +8,7 @@ mod files;
 mod interrupt;
 mod lengths;
 mod named_outputs;
+mod numbered_pictures;
 mod negative_values;
 mod profiles;
 mod qr_code;

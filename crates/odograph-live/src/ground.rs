@@ -3,6 +3,7 @@
 use odograph::error::{Error, Result};
 use odograph::geometry::Placement;
 use odograph::mosaic::{Mosaic, MosaicSquare};
+use odograph_video::png_from_rgba;
 use std::collections::BTreeMap;
 use std::fs::File;
 use std::io::{BufReader, Read};
@@ -214,21 +215,7 @@ impl TiledGround for GroundPicture {
 
 /// Encodes the RGBA samples of a tile as PNG.
 pub(crate) fn tile_png(rgba: &[u8]) -> Option<Vec<u8>> {
-    let side = Mosaic::TILE_SIDE_PX as u32;
-    png_of(rgba, side, side, png::ColorType::Rgba)
-}
-
-/// Encodes samples of 8 bits as PNG.
-pub(crate) fn png_of(samples: &[u8], width: u32, height: u32, color: png::ColorType) -> Option<Vec<u8>> {
-    let mut bytes = Vec::new();
-    let mut encoder = png::Encoder::new(&mut bytes, width, height);
-    encoder.set_color(color);
-    encoder.set_depth(png::BitDepth::Eight);
-    encoder.set_compression(png::Compression::Fast);
-    let mut writer = encoder.write_header().ok()?;
-    writer.write_image_data(samples).ok()?;
-    writer.finish().ok()?;
-    Some(bytes)
+    png_from_rgba(Mosaic::TILE_SIDE_PX, Mosaic::TILE_SIDE_PX, rgba).ok()
 }
 
 #[cfg(test)]

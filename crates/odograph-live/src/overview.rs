@@ -1,9 +1,10 @@
 //! The whole ground map in one picture of bounded size.
 
 use crate::followed_tiles::FollowedTiles;
-use crate::ground::{TiledGround, png_of};
+use crate::ground::TiledGround;
 use odograph::geometry::Placement;
 use odograph::mosaic::{Mosaic, MosaicSquare};
+use odograph_video::png_from_rgb_samples;
 
 /// A picture of the ground with its georeference.
 #[derive(Debug, Clone, PartialEq)]
@@ -23,7 +24,7 @@ impl OverviewPicture {
     pub fn rgb_png(&self) -> Option<Vec<u8>> {
         let rgb = self.rgba.as_chunks::<4>().0.iter().flat_map(|[red, green, blue, _]| [*red, *green, *blue]);
         let rgb: Vec<u8> = rgb.collect();
-        png_of(&rgb, self.width.try_into().ok()?, self.height.try_into().ok()?, png::ColorType::Rgb)
+        png_from_rgb_samples(self.width, self.height, &rgb).ok()
     }
 
     /// Corner of least x and y, metres: the outer corner of the bottom-left pixel.

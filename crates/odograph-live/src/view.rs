@@ -1,9 +1,9 @@
 //! The camera image in the form in which the page displays it.
 
 use crate::hub::View;
-use jpeg_encoder::{ColorType, Encoder};
 use odograph::image::GrayImage;
 use odograph::odometry::TrackView;
+use odograph_video::jpeg_from_gray;
 
 /// Images wider than this are displayed at half size: no page shows more detail, and encoding would
 /// take time from the tracking.
@@ -37,11 +37,7 @@ pub(crate) fn encode(gray: &GrayImage) -> Option<(Vec<u8>, f64)> {
     } else {
         (gray, 1.0)
     };
-    let size = |pixels: usize| u16::try_from(pixels).ok();
-    let (width, height) = (size(shown.width())?, size(shown.height())?);
-    let mut jpeg = Vec::with_capacity(shown.samples().len() / 4);
-    Encoder::new(&mut jpeg, QUALITY).encode(shown.samples(), width, height, ColorType::Luma).ok()?;
-    Some((jpeg, scale))
+    Some((jpeg_from_gray(shown, QUALITY).ok()?, scale))
 }
 
 /// Downsamples by two with a 2×2 box filter.

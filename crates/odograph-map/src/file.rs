@@ -5,12 +5,13 @@ use crate::complaint::{Complaint, WithContext};
 use crate::origin::{self, SessionOrigin};
 use crate::row_order::in_order;
 use crate::thinning::{Thinning, thinning};
-use crate::{cameras, masks, schema};
+use crate::{cameras, losses, masks, schema};
 use odograph::camera::{Camera, Rig};
 use odograph::error::{Error, Result};
 use odograph::fixed_pattern::ImageMask;
 use odograph::ground_map::{GroundMap, KeyframeImages, MountedCamera};
 use odograph::keyframe::KeyframeId;
+use odograph::trajectory::LostStretch;
 use rusqlite::config::DbConfig;
 use rusqlite::limits::Limit;
 use rusqlite::{Connection, ErrorCode, OpenFlags, Transaction, params};
@@ -333,6 +334,24 @@ impl MapFile {
         transaction.commit().while_writing(&self.complaint)
     }
 
+    /// Replaces the losses of a session by these, in order; times are those of its frames.
+    ///
+    /// # Errors
+    /// If they cannot be written.
+    pub fn set_losses(&mut self, session: u32, stretches: &[LostStretch]) -> Result<()> {
+        let transaction = self.connection.transaction().while_writing(&self.complaint)?;
+        losses::write(&transaction, session, stretches).while_writing(&self.complaint)?;
+        transaction.commit().while_writing(&self.complaint)
+    }
+
+    /// The losses of a session in order; empty if none are stored.
+    ///
+    /// # Errors
+    /// If they cannot be read, or cannot be losses.
+    pub fn losses_of(&self, session: u32) -> Result<Vec<LostStretch>> {
+        losses::read(&self.connection, session, &self.complaint)
+    }
+
     /// Removes a session with its keyframes, their edges and its path. The mosaic is not changed.
     pub fn remove_session(&mut self, session: u32) -> Result<()> {
         let own = self.keyframes()?.into_iter().filter(|keyframe| keyframe.session == session);
@@ -342,6 +361,7 @@ impl MapFile {
         let remove = |connection: &Connection| {
             cameras::remove_of_session(connection, session)?;
             masks::remove(connection, session)?;
+            losses::write(connection, session, &[])?;
             origin::remove_session(connection, session)?;
             connection.execute("DELETE FROM odograph_session WHERE id = ?1", [session])
         };
@@ -386,6 +406,9 @@ impl MapFile {
             for (column, row) in self.mosaic_tiles(level)? {
                 self.mosaic_tile(level, column, row)?;
             }
+        }
+        for session in self.sessions()? {
+            self.losses_of(session.id)?;
         }
         self.markers().map(drop)
     }

@@ -17,6 +17,7 @@ mod geotiff;
 mod image;
 mod keyframes;
 mod landmarks;
+mod losses;
 mod lever_arm;
 mod markers;
 mod masks;

@@ -14,7 +14,7 @@ use crate::paths::{self, PathFrame};
 use crate::pose_columns::is_pose;
 use crate::row_order::RowOrder;
 use crate::thinning::edges_without;
-use crate::{cameras, complaint::WithContext, masks, origin, schema};
+use crate::{cameras, complaint::WithContext, losses, masks, origin, schema};
 use odograph::error::{Error, Result};
 use odograph::ground_map::{GroundMap, KeyframeImages, MapKeyframe};
 use odograph::keyframe::KeyframeId;
@@ -194,6 +194,8 @@ fn write(
         go_on(keep_going)?;
         let path = path(&source.connection, session, &mut probes);
         paths::write(&transaction, session, &path).while_writing(&complaint)?;
+        let lost = losses::read(&source.connection, session, &complaint).unwrap_or_default();
+        losses::write(&transaction, session, &lost).while_writing(&complaint)?;
         frames += path.len();
     }
     transaction.commit().while_writing(&complaint)?;

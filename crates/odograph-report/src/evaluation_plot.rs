@@ -1,5 +1,7 @@
 //! The paths, superimposed, and the errors over time, as SVG.
 
+use odograph::drawing::scale::{label, multiples, round_step};
+use odograph::drawing::svg::escape;
 use odograph::evaluation::{Evaluation, PosePair};
 use odograph::formats::trajectory_file::Trajectory;
 use odograph::numerics::median;
@@ -26,7 +28,7 @@ pub fn svg(title: &str, evaluation: &Evaluation, truth: &Trajectory) -> String {
          font-family=\"sans-serif\" font-size=\"13\" fill=\"#222222\">\n\
          <rect width=\"100%\" height=\"100%\" fill=\"#ffffff\"/>\n\
          <text x=\"{LEFT}\" y=\"30\" font-size=\"17\" font-weight=\"bold\">{}</text>\n",
-        escaped(title)
+        escape(title)
     );
     let _ = writeln!(
         out,
@@ -108,26 +110,15 @@ impl PlotAxis {
         self.from_px + (value - self.low) / (self.high - self.low) * (self.to_px - self.from_px)
     }
 
-    /// The step of round numbers (1, 2 or 5 times a power of ten) that cuts the range into about
-    /// `count` parts.
+    /// The step of round numbers that cuts the range into about `count` parts.
     fn step(&self, count: f64) -> f64 {
-        let rough = 0.75 * (self.high - self.low) / count;
-        let power = 10f64.powf(rough.log10().floor());
-        [1.0, 2.0, 5.0, 10.0].map(|m| m * power).into_iter().find(|&step| step >= rough).unwrap_or(rough)
+        round_step(0.75 * (self.high - self.low), count)
     }
 
-    /// The multiples of a step within the range, with the decimals they need.
+    /// Positions and labels of the multiples of a step within the range.
     fn ticks(&self, step: f64) -> Vec<(f64, String)> {
-        let decimals = (-(step * 1.001).log10().floor()).clamp(0.0, 12.0) as usize;
-        let first = (self.low / step).ceil();
-        (0..64)
-            .map(|index| (first + f64::from(index)) * step)
-            .take_while(|&value| value <= self.high + step * 1e-9)
-            // Adding zero makes a negative zero positive.
-            .map(|value| {
-                (value, format!("{:.decimals$}", (value / step).round() * step + 0.0).replace('-', "−"))
-            })
-            .collect()
+        let values = multiples(self.low, self.high, step).into_iter();
+        values.map(|value| (self.at(value), label(value, step))).collect()
     }
 }
 
@@ -249,28 +240,20 @@ fn frame(out: &mut String, x: &PlotAxis, y: &PlotAxis, (step_x, step_y): (f64, f
     let _ = writeln!(out, "<g stroke=\"#dddddd\" stroke-width=\"1\">");
     let ticks_x = x.ticks(step_x);
     let ticks_y = y.ticks(step_y);
-    for (value, _) in &ticks_x {
-        let _ = writeln!(out, "<path d=\"M{:.2} {top}V{bottom}\"/>", x.at(*value));
+    for (at, _) in &ticks_x {
+        let _ = writeln!(out, "<path d=\"M{at:.2} {top}V{bottom}\"/>");
     }
-    for (value, _) in &ticks_y {
-        let _ = writeln!(out, "<path d=\"M{LEFT} {:.2}H{RIGHT}\"/>", y.at(*value));
+    for (at, _) in &ticks_y {
+        let _ = writeln!(out, "<path d=\"M{LEFT} {at:.2}H{RIGHT}\"/>");
     }
     let _ = writeln!(out, "</g>\n<g font-size=\"12\" fill=\"#444444\">");
-    for (value, label) in &ticks_x {
-        let _ = writeln!(
-            out,
-            "<text x=\"{:.2}\" y=\"{}\" text-anchor=\"middle\">{label}</text>",
-            x.at(*value),
-            bottom + 17.0
-        );
+    let (below, beside) = (bottom + 17.0, LEFT - 6.0);
+    for (at, label) in &ticks_x {
+        let _ = writeln!(out, "<text x=\"{at:.2}\" y=\"{below}\" text-anchor=\"middle\">{label}</text>");
     }
-    for (value, label) in &ticks_y {
-        let _ = writeln!(
-            out,
-            "<text x=\"{}\" y=\"{:.2}\" text-anchor=\"end\">{label}</text>",
-            LEFT - 6.0,
-            y.at(*value) + 4.0
-        );
+    for (at, label) in &ticks_y {
+        let y = at + 4.0;
+        let _ = writeln!(out, "<text x=\"{beside}\" y=\"{y:.2}\" text-anchor=\"end\">{label}</text>");
     }
     let middle = 0.5 * (top + bottom);
     let _ = writeln!(
@@ -357,17 +340,4 @@ fn envelope(points: &[(f64, f64)], all: usize) -> Vec<(f64, f64)> {
         }
     }
     kept
-}
-
-fn escaped(text: &str) -> String {
-    let visible = text.chars().filter(|c| !c.is_control());
-    visible.fold(String::new(), |mut out, c| {
-        match c {
-            '&' => out.push_str("&amp;"),
-            '<' => out.push_str("&lt;"),
-            '>' => out.push_str("&gt;"),
-            c => out.push(c),
-        }
-        out
-    })
 }

@@ -2,11 +2,10 @@
 //! it.
 
 use super::parts::{head, warnings};
-use jpeg_encoder::{ColorType, Encoder};
 use odograph::drawing::scale::duration_text;
 use odograph::drawing::svg::{coordinate, data_uri, escape};
-use odograph::image::GrayImage;
 use odograph_session::{Diagnosis, ExaminedFrame, Finding, Judgement};
+use odograph_video::jpeg_from_gray;
 use std::fmt::Write;
 
 /// JPEG quality (1 to 100): noise and blocks must be those of the recording.
@@ -87,7 +86,7 @@ fn verdict(findings: &[Finding]) -> String {
 
 /// A frame with its corners.
 fn picture(frame: &ExaminedFrame, page: &mut String) {
-    let Some(jpeg) = jpeg_of(&frame.gray) else { return };
+    let Ok(jpeg) = jpeg_from_gray(&frame.gray, QUALITY) else { return };
     let (width, height) = (frame.gray.width(), frame.gray.height());
     let radius = coordinate(width.max(height) as f64 / 120.0);
     let mut rings = String::new();
@@ -109,19 +108,13 @@ fn picture(frame: &ExaminedFrame, page: &mut String) {
     );
 }
 
-fn jpeg_of(image: &GrayImage) -> Option<Vec<u8>> {
-    let (width, height) = (u16::try_from(image.width()).ok()?, u16::try_from(image.height()).ok()?);
-    let mut jpeg = Vec::new();
-    Encoder::new(&mut jpeg, QUALITY).encode(image.samples(), width, height, ColorType::Luma).ok()?;
-    Some(jpeg)
-}
-
 #[cfg(test)]
 mod tests {
     #![allow(clippy::unwrap_used)] // a test fails by panicking
 
     use super::*;
     use odograph::geometry::Pixel;
+    use odograph::image::GrayImage;
 
     fn finding(topic: &'static str, judgement: Judgement) -> Finding {
         Finding {

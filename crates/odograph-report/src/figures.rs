@@ -1,20 +1,6 @@
 //! Summary statistics of a run, displayed at the top of its report.
 
-use odograph::trajectory::{FrameSummary, LossReason, PlaceSummary, TrackStatus, distance_m};
-
-/// An interval of consecutive frames without a pose.
-#[derive(Debug, Clone, PartialEq)]
-pub struct LostStretch {
-    /// Time of the first lost frame, seconds since the start of the run.
-    pub from_s: f64,
-    /// Time of the next frame with a pose (the last frame if there is none), seconds since the
-    /// start of the run.
-    pub to_s: f64,
-    /// Number of frames without a pose.
-    pub frames: usize,
-    /// The distinct reasons, in order of occurrence.
-    pub reasons: Vec<LossReason>,
-}
+use odograph::trajectory::{FrameSummary, LossReason, LostStretch, LostStretches, PlaceSummary, distance_m};
 
 /// Summary statistics of a run.
 #[derive(Debug, Clone, PartialEq)]
@@ -62,44 +48,18 @@ impl RunFigures {
     }
 }
 
-impl LostStretch {
-    /// The reasons, as the end of a sentence.
-    pub fn because(&self) -> String {
-        let reasons: Vec<&str> = self.reasons.iter().map(|&reason| in_words(reason)).collect();
-        reasons.join("; then ")
-    }
+/// The reasons of a loss, as the end of a sentence.
+pub fn because(stretch: &LostStretch) -> String {
+    let reasons: Vec<&str> = stretch.reasons.iter().map(|&reason| in_words(reason)).collect();
+    reasons.join("; then ")
 }
 
-/// Finds all intervals without a pose.
+/// Finds all intervals without a pose; times are since the start of the run.
 pub fn lost_stretches(frames: &[FrameSummary]) -> Vec<LostStretch> {
     let start_s = frames.first().map_or(0.0, |frame| frame.time_s);
-    let mut stretches: Vec<LostStretch> = vec![];
-    let mut open = false;
-    for frame in frames {
-        let at_s = frame.time_s - start_s;
-        match frame.status {
-            TrackStatus::Lost { reason } => {
-                if !open {
-                    stretches.push(LostStretch { from_s: at_s, to_s: at_s, frames: 0, reasons: vec![] });
-                }
-                if let Some(stretch) = stretches.last_mut() {
-                    stretch.frames += 1;
-                    stretch.to_s = at_s;
-                    if !stretch.reasons.contains(&reason) {
-                        stretch.reasons.push(reason);
-                    }
-                }
-                open = true;
-            }
-            TrackStatus::Tracked => {
-                if let (true, Some(stretch)) = (open, stretches.last_mut()) {
-                    stretch.to_s = at_s;
-                }
-                open = false;
-            }
-        }
-    }
-    stretches
+    let mut lost = LostStretches::default();
+    frames.iter().for_each(|frame| lost.push(frame.time_s - start_s, frame.status));
+    lost.finish()
 }
 
 /// The frames with a pose and the fewest inliers, fewest first, spread over the run so that a

@@ -33,7 +33,7 @@ mod raster;
 mod recordings;
 
 pub use examination::examination_html;
-pub use figures::{LostStretch, lost_stretches};
+pub use figures::{because, lost_stretches};
 pub use page::html;
 pub use raster::{MAP_WIDTH_PX, drawing_png, gray_picture};
 pub use recordings::recordings_html;

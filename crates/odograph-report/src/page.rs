@@ -2,7 +2,7 @@
 
 use super::charts::over_time;
 use super::evaluation_plot;
-use super::figures::{RunFigures, sigmas, weakest};
+use super::figures::{RunFigures, because, sigmas, weakest};
 use super::ground_view::{path_over_ground, place_over_map, script};
 use super::other_sensors::other_sensors;
 use super::parts::{card, distance_text, head, lengths_text, number, warnings};
@@ -303,7 +303,7 @@ fn doubts(frames: &[FrameSummary], figures: &RunFigures, page: &mut String) {
                 duration_text(stretch.to_s - stretch.from_s),
                 stretch.frames,
                 if stretch.frames == 1 { "frame" } else { "frames" },
-                stretch.because()
+                because(stretch)
             );
         }
         page.push_str("</table></div>\n");

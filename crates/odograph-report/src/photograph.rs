@@ -3,10 +3,11 @@
 //! Ground is like noise to a lossless format: as a PNG a mosaic has five to eight times the bytes
 //! that it has as a JPEG. What is transparent is a mask beside it.
 
-use jpeg_encoder::{ColorType, Encoder, SamplingFactor};
 use odograph::drawing::svg::data_uri;
+use odograph::image::RgbImage;
 use odograph::mosaic::MosaicPicture;
 use odograph_session::files;
+use odograph_video::jpeg_from_rgb;
 
 /// JPEG quality (1 to 100): higher enlarges the page without a visible difference at the size
 /// shown.
@@ -38,12 +39,7 @@ fn jpeg_of(picture: &MosaicPicture) -> Option<Vec<u8>> {
             rgb.extend_from_slice(&last);
         }
     }
-    let mut jpeg = Vec::new();
-    let mut encoder = Encoder::new(&mut jpeg, QUALITY);
-    encoder.set_sampling_factor(SamplingFactor::F_2_2);
-    let (width, height) = (u16::try_from(picture.width).ok()?, u16::try_from(picture.height).ok()?);
-    encoder.encode(&rgb, width, height, ColorType::Rgb).ok()?;
-    Some(jpeg)
+    jpeg_from_rgb(&RgbImage::from_samples(picture.width, picture.height, rgb)?, QUALITY).ok()
 }
 
 /// The opacity alone, as a PNG.

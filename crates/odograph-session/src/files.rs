@@ -2,8 +2,10 @@
 //! that no half-written file is visible; read up to a limit of bytes.
 
 use odograph::error::{Error, Result};
-use odograph::image::{GrayImage, RgbImage};
 use odograph_video::read_regular_file;
+pub use odograph_video::{
+    png_from_gray, png_from_rgb, png_from_rgb_samples, png_from_rgba, png_from_rgba_bands, png_to_print,
+};
 use std::ffi::OsString;
 use std::fs;
 use std::io::{self, BufWriter, Write};
@@ -70,14 +72,7 @@ pub fn check_writable(path: &Path, size: usize) -> Result<()> {
 
 /// Writes a whole file under a temporary name and renames it. A failure leaves no file.
 pub fn write(path: &Path, bytes: &[u8]) -> Result<()> {
-    let beside = beside(path);
-    let written = fs::File::create(&beside)
-        .and_then(|mut file| file.write_all(bytes).and_then(|()| file.sync_data()))
-        .and_then(|()| fs::rename(&beside, path));
-    written.map_err(|error| {
-        let _ = fs::remove_file(&beside);
-        cannot_be_written(path, error)
-    })
+    write_by_way_of(&beside(path), path, bytes)
 }
 
 /// Writes a whole new file that only its owner can read and write. A failure leaves no file.
@@ -101,11 +96,18 @@ pub(crate) fn cannot_be_written(path: &Path, error: io::Error) -> Error {
 /// Writes a file that may exceed memory: `fill` writes it under a temporary name, then it is
 /// renamed. A failure leaves no file.
 pub fn write_with(path: &Path, fill: impl FnOnce(&mut BufWriter<fs::File>) -> Result<()>) -> Result<()> {
-    write_by_way_of(&beside(path), path, fill)
+    fill_by_way_of(&beside(path), path, fill)
+}
+
+/// [`write`] under a temporary name that is given.
+pub(crate) fn write_by_way_of(beside: &Path, path: &Path, bytes: &[u8]) -> Result<()> {
+    fill_by_way_of(beside, path, |output| {
+        output.write_all(bytes).map_err(|error| cannot_be_written(path, error))
+    })
 }
 
 /// [`write_with`] under a temporary name that is given.
-pub(crate) fn write_by_way_of(
+pub(crate) fn fill_by_way_of(
     beside: &Path,
     path: &Path,
     fill: impl FnOnce(&mut BufWriter<fs::File>) -> Result<()>,
@@ -152,6 +154,63 @@ pub fn make_folder(path: &Path) -> Result<()> {
     })
 }
 
+/// Folders that were made for results, the innermost first. Those that are still empty when this is
+/// dropped are removed.
+#[must_use = "the folders are removed again unless something is written into them first"]
+#[derive(Debug, Default)]
+pub struct MadeFolders(Vec<PathBuf>);
+
+impl Drop for MadeFolders {
+    fn drop(&mut self) {
+        for folder in &self.0 {
+            let _ = fs::remove_dir(folder);
+        }
+    }
+}
+
+/// Space that the results of a calibration need, bytes.
+const SPACE: usize = 1 << 20;
+
+impl MadeFolders {
+    /// Makes a folder with those that it is in, as far as they are missing.
+    ///
+    /// # Errors
+    /// If that is not possible; the message names what is in the way.
+    pub fn new(folder: &Path) -> Result<Self> {
+        if folder.as_os_str().is_empty() {
+            return Ok(Self::default());
+        }
+        let missing = |folder: &&Path| !folder.as_os_str().is_empty() && !folder.exists();
+        let made = Self(folder.ancestors().take_while(missing).map(Path::to_owned).collect());
+        make_folder(folder)?;
+        Ok(made)
+    }
+
+    /// Whether any was made.
+    pub fn is_any(&self) -> bool {
+        !self.0.is_empty()
+    }
+
+    /// The folder that a file is to be written into, made where it is missing.
+    ///
+    /// # Errors
+    /// As [`MadeFolders::new`].
+    pub fn of_file(path: &Path) -> Result<Self> {
+        Self::new(path.parent().unwrap_or(Path::new("")))
+    }
+
+    /// The same before minutes of work: fails if the file cannot be written there, or the disk is
+    /// full.
+    ///
+    /// # Errors
+    /// If it cannot.
+    pub fn of_result(path: &Path) -> Result<Self> {
+        let made = Self::of_file(path)?;
+        check_writable(path, SPACE)?;
+        Ok(made)
+    }
+}
+
 /// Reads a text file of at most `most` bytes of UTF-8. A folder, pipe or device is refused.
 pub fn read_text_within(path: &Path, most: u64) -> Result<String> {
     let bytes = read_regular_file(path, most).map_err(|error| {
@@ -180,83 +239,4 @@ pub fn beside(path: &Path) -> PathBuf {
     let mut name: OsString = path.file_name().unwrap_or_default().to_owned();
     name.push(".part");
     path.with_file_name(name)
-}
-
-/// A gray image as the bytes of a PNG file.
-pub fn png_from_gray(image: &GrayImage) -> Result<Vec<u8>> {
-    encode_png(image.width(), image.height(), png::ColorType::Grayscale, image.samples(), None)
-}
-
-/// A gray image as the bytes of a PNG file with its print resolution.
-pub fn png_to_print(image: &GrayImage, pixels_per_metre: u32) -> Result<Vec<u8>> {
-    let unit = png::Unit::Meter;
-    let resolution = png::PixelDimensions { xppu: pixels_per_metre, yppu: pixels_per_metre, unit };
-    encode_png(image.width(), image.height(), png::ColorType::Grayscale, image.samples(), Some(resolution))
-}
-
-/// A colour image as the bytes of a PNG file.
-pub fn png_from_rgb(image: &RgbImage) -> Result<Vec<u8>> {
-    encode_png(image.width(), image.height(), png::ColorType::Rgb, image.samples(), None)
-}
-
-/// Interleaved RGB in row order as the bytes of a PNG file.
-pub fn png_from_rgb_samples(width: usize, height: usize, rgb: &[u8]) -> Result<Vec<u8>> {
-    encode_png(width, height, png::ColorType::Rgb, rgb, None)
-}
-
-/// An image with alpha channel, interleaved RGBA in row order, as the bytes of a PNG file.
-pub fn png_from_rgba(width: usize, height: usize, rgba: &[u8]) -> Result<Vec<u8>> {
-    encode_png(width, height, png::ColorType::Rgba, rgba, None)
-}
-
-/// An image with alpha channel that arrives in bands of whole rows from top to bottom, as the bytes
-/// of a PNG file.
-pub fn png_from_rgba_bands(
-    width: usize,
-    height: usize,
-    bands: impl Iterator<Item = Vec<u8>>,
-) -> Result<Vec<u8>> {
-    let encode = || -> std::result::Result<Vec<u8>, png::EncodingError> {
-        let mut bytes = Vec::new();
-        let mut encoder = png::Encoder::new(&mut bytes, width as u32, height as u32);
-        encoder.set_color(png::ColorType::Rgba);
-        encoder.set_depth(png::BitDepth::Eight);
-        encoder.set_compression(png::Compression::Fast);
-        let mut writer = encoder.write_header()?;
-        let mut rows = writer.stream_writer_with_size(CHUNK_BYTES)?;
-        bands.into_iter().try_for_each(|band| rows.write_all(&band))?;
-        rows.finish()?;
-        writer.finish()?;
-        Ok(bytes)
-    };
-    encode().map_err(|error| {
-        Error::output(format!("a {width}x{height} PNG cannot be encoded: {error}")).caused_by(error)
-    })
-}
-
-/// Bytes of a chunk of a PNG file that is written in several.
-const CHUNK_BYTES: usize = 1 << 18;
-
-fn encode_png(
-    width: usize,
-    height: usize,
-    color: png::ColorType,
-    samples: &[u8],
-    resolution: Option<png::PixelDimensions>,
-) -> Result<Vec<u8>> {
-    let encode = || -> std::result::Result<Vec<u8>, png::EncodingError> {
-        let mut bytes = Vec::new();
-        let mut encoder = png::Encoder::new(&mut bytes, width as u32, height as u32);
-        encoder.set_color(color);
-        encoder.set_depth(png::BitDepth::Eight);
-        encoder.set_pixel_dims(resolution);
-        encoder.set_compression(png::Compression::Fast);
-        let mut writer = encoder.write_header()?;
-        writer.write_image_data(samples)?;
-        writer.finish()?;
-        Ok(bytes)
-    };
-    encode().map_err(|error| {
-        Error::output(format!("a {width}x{height} PNG cannot be encoded: {error}")).caused_by(error)
-    })
 }

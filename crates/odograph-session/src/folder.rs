@@ -2,7 +2,7 @@
 //! computed frames are on disk if the program is killed.
 
 use crate::begun_run::{self, begun_file};
-use crate::files;
+use crate::files::{self, MadeFolders};
 use crate::growing_table::GrowingTable;
 use crate::kept_frames::KeptFrames;
 use crate::output::{MapUse, RunOutput};
@@ -59,13 +59,14 @@ pub struct OutputFolder {
     had_map: bool,
     /// Origin of the session, where the robot has a name.
     origin: Option<SessionOrigin>,
-    /// Folders created for this run, the innermost first.
-    made: Vec<PathBuf>,
     /// Claims on the folder's map, which keeps other runs out of the folder, and on the continued
     /// map.
     claims: Vec<MapClaim>,
     /// The files that were written, in order.
     written: Vec<PathBuf>,
+    /// Folders created for this run, which are removed again where nothing is in them; dropped
+    /// last.
+    _made: MadeFolders,
 }
 
 impl Drop for OutputFolder {
@@ -80,15 +81,7 @@ impl Drop for OutputFolder {
                 let _ = self.claims[0].remove_map();
             }
             self.claims.clear();
-            remove_folders(&self.made);
         }
-    }
-}
-
-/// Removes empty folders, the innermost first.
-fn remove_folders(folders: &[PathBuf]) {
-    for folder in folders {
-        let _ = fs::remove_dir(folder);
     }
 }
 
@@ -101,17 +94,11 @@ impl OutputFolder {
         let own_map = path.join(MAP_FILE);
         let origin = output.origin()?;
         check_free(path, force)?;
-        let missing = |folder: &&Path| !folder.as_os_str().is_empty() && !folder.exists();
-        let made: Vec<PathBuf> = path.ancestors().take_while(missing).map(Path::to_owned).collect();
-        let undone = |error| {
-            remove_folders(&made);
-            error
-        };
-        files::make_folder(path).map_err(&undone)?;
-        let claims = claims(&own_map, &output.map).map_err(&undone)?;
+        let made = MadeFolders::new(path)?;
+        let claims = claims(&own_map, &output.map)?;
         // Another run may have ended here since.
         check_free(path, force)?;
-        let growing = GrowingTable::create(path).map_err(&undone)?;
+        let growing = GrowingTable::create(path)?;
         let had_map = MapFile::is_there(&own_map);
         Ok(Self {
             path: path.to_owned(),
@@ -120,9 +107,9 @@ impl OutputFolder {
             begun: false,
             had_map,
             origin,
-            made,
             claims,
             written: Vec::new(),
+            _made: made,
         })
     }
 
@@ -178,10 +165,25 @@ impl OutputFolder {
 
     /// Writes one file.
     pub fn write(&mut self, name: &str, bytes: &[u8]) -> Result<()> {
+        self.replace(name, Some(Ok(bytes)))
+    }
+
+    /// Records a file as written. Where it could not be, that of an earlier run is removed, which
+    /// would be taken for one of this run.
+    fn in_place_of_earlier(&mut self, path: PathBuf, written: Result<()>) -> Result<()> {
+        match &written {
+            Ok(()) => self.is_written(path),
+            Err(_) => drop(fs::remove_file(path)),
+        }
+        written
+    }
+
+    /// Writes one file, or removes that of an earlier run where there is none now.
+    pub fn replace(&mut self, name: &str, bytes: Option<Result<impl AsRef<[u8]>>>) -> Result<()> {
+        let Some(bytes) = bytes else { return self.remove(name) };
         let path = self.path.join(name);
-        files::write(&path, bytes)?;
-        self.is_written(path);
-        Ok(())
+        let written = bytes.and_then(|bytes| files::write(&path, bytes.as_ref()));
+        self.in_place_of_earlier(path, written)
     }
 
     /// Records the name of a written file.
@@ -209,9 +211,8 @@ impl OutputFolder {
         fill: impl FnOnce(&mut dyn FnMut(&str) -> Result<()>) -> Result<()>,
     ) -> Result<()> {
         let path = self.path.join(name);
-        write_lines(&path, header, fill)?;
-        self.is_written(path);
-        Ok(())
+        let written = files::write_with(&path, |output| lines_into(output, &path, header, fill));
+        self.in_place_of_earlier(path, written)
     }
 
     /// Writes the trajectory of a frame as TUM text from the poses that `fill` gives.
@@ -245,7 +246,7 @@ impl OutputFolder {
 
     fn write_paths(&mut self, frames: &mut KeptFrames, of: &PoseFrames, run_toml: &str) -> Result<()> {
         let path = self.path.join("trajectory.csv");
-        files::write_by_way_of(&self.path.join("trajectory.csv.new"), &path, |output| {
+        files::fill_by_way_of(&self.path.join("trajectory.csv.new"), &path, |output| {
             lines_into(output, &path, FRAMES_HEADER, |put| {
                 frames.each(|frame, _| put(&frame_line(&of.frame(frame))))
             })
@@ -257,9 +258,7 @@ impl OutputFolder {
             frames.each(|frame, _| of.stamped(frame).as_ref().map_or(Ok(()), &mut *put))
         })?;
         let path = self.path.join("run.toml");
-        files::write_by_way_of(&self.path.join("run.toml.new"), &path, |output| {
-            output.write_all(run_toml.as_bytes()).map_err(|error| files::cannot_be_written(&path, error))
-        })?;
+        files::write_by_way_of(&self.path.join("run.toml.new"), &path, run_toml.as_bytes())?;
         self.is_written(path);
         Ok(())
     }
@@ -348,14 +347,6 @@ fn claims(own_map: &Path, map: &MapUse) -> Result<Vec<MapClaim>> {
         claims.push(MapClaim::on(map)?);
     }
     Ok(claims)
-}
-
-fn write_lines(
-    path: &Path,
-    header: &str,
-    fill: impl FnOnce(&mut dyn FnMut(&str) -> Result<()>) -> Result<()>,
-) -> Result<()> {
-    files::write_with(path, |output| lines_into(output, path, header, fill))
 }
 
 /// Writes a header and the lines that `fill` gives; `path` is named in errors.

@@ -88,32 +88,24 @@ impl FoundMount {
 
     /// A warning for people after a live run.
     pub fn live_sentence(&self) -> String {
-        format!(
-            "the camera is mounted at a roll of {} and a pitch of {}, not {}; this was estimated \
-             while driving and used from then on, and the path before it is bent: give both with --rig",
-            angle(self.roll_deg),
-            angle(self.pitch_deg),
-            self.given()
-        )
+        self.and("estimated while driving and used from then on, and the path before it is bent: give both with --rig")
     }
 
     /// A warning for people.
     pub fn sentence(&self) -> String {
-        format!(
-            "the camera is mounted at a roll of {} and a pitch of {}, not {}; this was found in the \
-             recording and used",
-            angle(self.roll_deg),
-            angle(self.pitch_deg),
-            self.given()
-        )
+        self.and("found in the recording and used")
     }
 
-    /// The nominal mount; a rig with a height alone looks straight down.
-    fn given(&self) -> String {
-        match (self.given_roll_deg, self.given_pitch_deg) {
+    /// Both mounts, and what was done; a rig with a height alone looks straight down.
+    fn and(&self, done: &str) -> String {
+        let given = match (self.given_roll_deg, self.given_pitch_deg) {
             (0.0, 0.0) => "looking straight down".to_owned(),
             (roll, pitch) => format!("at {} and {} as given", angle(roll), angle(pitch)),
-        }
+        };
+        let [roll, pitch] = [self.roll_deg, self.pitch_deg].map(angle);
+        format!(
+            "the camera is mounted at a roll of {roll} and a pitch of {pitch}, not {given}; this was {done}"
+        )
     }
 }
 

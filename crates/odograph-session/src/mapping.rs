@@ -22,7 +22,7 @@ use odograph::mosaic::{Mosaic, MosaicPicture};
 use odograph::numerics::median;
 use odograph::odometry::{FrameReference, KeyframeEvent};
 use odograph::slam::{AntennaFix, DriftCorrection, KeyframeSpans, Mapper, SessionScale};
-use odograph::trajectory::FrameEstimate;
+use odograph::trajectory::{FrameEstimate, LostStretches};
 use odograph_map::{MapClaim, MapFile, PathFrame};
 use odograph_video::Frame;
 use std::path::Path;
@@ -355,17 +355,22 @@ impl Mapping {
     fn write_path(&mut self, frames: &mut KeptFrames) -> Result<()> {
         let writable = self.file.kept.is_none();
         let Some(file) = self.file.file.as_mut().filter(|_| writable) else { return Ok(()) };
+        let mut lost = LostStretches::default();
         file.set_path_from(self.file.session, |put| {
-            frames.each(|frame, _| match &frame.estimate {
-                Some(known) => put(&PathFrame {
-                    frame: frame.frame,
-                    segment: frame.segment,
-                    time_s: frame.time_s,
-                    pose: known.pose,
-                }),
-                None => Ok(()),
+            frames.each(|frame, _| {
+                lost.push(frame.time_s, frame.status);
+                match &frame.estimate {
+                    Some(known) => put(&PathFrame {
+                        frame: frame.frame,
+                        segment: frame.segment,
+                        time_s: frame.time_s,
+                        pose: known.pose,
+                    }),
+                    None => Ok(()),
+                }
             })
-        })
+        })?;
+        file.set_losses(self.file.session, &lost.finish())
     }
 
     /// Writes the mosaic into the file, at twice the ground sampling distance of the camera. Where

@@ -4,7 +4,7 @@
 use crate::files;
 use crate::report::{FramePainter, OverlayFrame};
 use odograph::error::{Error, Result};
-use odograph_video::{AviFormat, AviWriter, jpeg_picture};
+use odograph_video::{AviFormat, AviWriter, jpeg_from_rgb};
 use std::fs::{self, File};
 use std::io::BufWriter;
 use std::path::{Path, PathBuf};
@@ -62,7 +62,7 @@ impl OverlayVideo {
     pub fn add(&mut self, frame: &OverlayFrame<'_>) {
         let Some(writer) = &mut self.writer else { return };
         let (number, time_s) = (frame.camera.frame, frame.camera.time_s);
-        let added = jpeg_picture(&self.painter.paint(frame), QUALITY).and_then(|jpeg| {
+        let added = jpeg_from_rgb(&self.painter.paint(frame), QUALITY).and_then(|jpeg| {
             if writer.is_full_for(&jpeg) {
                 self.full_at = Some((number, time_s));
                 return Ok(());

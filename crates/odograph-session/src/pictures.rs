@@ -8,7 +8,7 @@ use crate::plan::RunPlan;
 use crate::reference::ComparedReference;
 use crate::report::{ReportInput, ReportLocalization, ReportMark, ReportMosaic, RunReporter};
 use odograph::drawing::{Backdrop, DrawnLandmark, MapDrawing, ReckonedStretch};
-use odograph::error::Result;
+use odograph::error::{Error, Result};
 use odograph::filter::fusion::SensorReport;
 use odograph::geometry::GroundPoint;
 use odograph::geometry::Placement;
@@ -39,16 +39,25 @@ pub struct DrawingInputs<'a> {
 }
 
 /// Drawings for the report.
-pub struct Drawn {
+#[derive(Default)]
+pub struct ReportDrawing {
     /// Downscaled mosaic, and the georeference of the full one.
     small: Option<(MosaicPicture, Placement)>,
     /// The path without the mosaic, which the report shows separately.
     path_svg: String,
+}
+
+/// Outcome of writing the pictures.
+pub struct Drawn {
+    pub drawing: ReportDrawing,
     /// A warning where the map file lacks the mosaic of some ground.
     pub ground: Result<Option<String>>,
+    /// What is missing, and why.
+    pub failures: Vec<(&'static str, Error)>,
 }
 
 /// Writes mosaic and drawing, and the mosaic into the map file, concurrently where `threads` allow.
+/// What cannot be written is missing, and keeps nothing else from being written.
 pub fn write(
     plan: &RunPlan,
     shown: &DrawingInputs<'_>,
@@ -57,7 +66,7 @@ pub fn write(
     reporter: Option<&dyn RunReporter>,
     threads: usize,
     observer: &dyn Observer,
-) -> Result<Drawn> {
+) -> Drawn {
     let mosaic = shown.mosaic;
     let bands = mosaic.bands(usize::MAX);
     let placement = bands.as_ref().map(|bands| bands.placement);
@@ -65,41 +74,50 @@ pub fn write(
         let png = bands.map(|bands| files::png_from_rgba_bands(bands.width, bands.height, bands)).transpose();
         (png, mapping.render_ground(mosaic, observer))
     };
-    let (drawn, (png, ground)) = if threads > 1 {
+    let mut failures = Vec::new();
+    let mut or_without =
+        |what, written: Result<()>| failures.extend(written.err().map(|error| (what, error)));
+    let mut drawing = ReportDrawing::default();
+    let mut draw = || {
+        let mut written = |written| or_without("there is no drawing of the path", written);
+        drawing = draw(plan, shown, placement, folder, reporter, &mut written);
+    };
+    let (png, ground) = if threads > 1 {
         thread::scope(|scope| {
             let kept = scope.spawn(keep);
-            let drawn = draw(plan, shown, placement, folder, reporter);
-            (drawn, kept.join().unwrap_or_else(|panic| resume_unwind(panic)))
+            draw();
+            kept.join().unwrap_or_else(|panic| resume_unwind(panic))
         })
     } else {
-        (draw(plan, shown, placement, folder, reporter), keep())
+        draw();
+        keep()
     };
-    let (small, path_svg) = drawn?;
-    if let Some((png, placement)) = png?.zip(placement) {
-        folder.write("mosaic.png", &png)?;
-        folder.write("mosaic.pgw", placement.world_file().as_bytes())?;
-    } else {
-        // A mosaic of an earlier run would show other ground.
-        folder.remove("mosaic.png")?;
-        folder.remove("mosaic.pgw")?;
+    let world_file = placement.map(|placement| Ok(placement.world_file().into_bytes()));
+    for (name, bytes) in [("mosaic.png", png.transpose()), ("mosaic.pgw", world_file)] {
+        or_without("there is no picture of the ground", folder.replace(name, bytes));
     }
-    Ok(Drawn { small, path_svg, ground })
+    Drawn { drawing, ground, failures }
 }
 
-/// Writes the drawing with a downscaled mosaic of this georeference. Returns both, and the drawing
-/// without the mosaic.
+/// Writes the drawing with a downscaled mosaic of this georeference, and tells `written` of each
+/// file. Returns both, and the drawing without the mosaic.
 fn draw(
     plan: &RunPlan,
     shown: &DrawingInputs<'_>,
     placement: Option<Placement>,
     folder: &mut OutputFolder,
     reporter: Option<&dyn RunReporter>,
-) -> Result<(Option<(MosaicPicture, Placement)>, String)> {
+    written: &mut dyn FnMut(Result<()>),
+) -> ReportDrawing {
     let small = shown.mosaic.picture_within(LONGEST_SIDE_PX).zip(placement);
     let png = small
         .as_ref()
         .map(|(mosaic, _)| files::png_from_rgba(mosaic.width, mosaic.height, &mosaic.rgba))
-        .transpose()?;
+        .transpose()
+        .unwrap_or_else(|error| {
+            written(Err(error));
+            None
+        });
     let backdrop = small.as_ref().zip(png.as_ref()).map(|((mosaic, _), png)| Backdrop {
         png,
         width_px: mosaic.width,
@@ -110,12 +128,9 @@ fn draw(
     let (loops, landmarks, reckoned) = (shown.loops, shown.landmarks, shown.reckoned);
     let drawing = MapDrawing { title: title(plan), loops, landmarks, reckoned, ..Default::default() };
     let svg = MapDrawing { backdrop, ..drawing }.svg(shown.frames);
-    folder.write("map.svg", svg.as_bytes())?;
-    match reporter {
-        Some(reporter) => folder.write("map.png", &reporter.map_png(&svg)?)?,
-        None => folder.remove("map.png")?,
-    }
-    Ok((small, drawing.svg(shown.frames)))
+    written(folder.write("map.svg", svg.as_bytes()));
+    written(folder.replace("map.png", reporter.map(|reporter| reporter.map_png(&svg))));
+    ReportDrawing { small, path_svg: drawing.svg(shown.frames) }
 }
 
 /// What the report tells beside the drawings.
@@ -132,7 +147,7 @@ pub struct PageTexts<'a> {
 pub fn write_page(
     plan: &RunPlan,
     shown: &DrawingInputs<'_>,
-    drawn: &Drawn,
+    drawn: &ReportDrawing,
     told: &PageTexts<'_>,
     folder: &mut OutputFolder,
     reporter: Option<&dyn RunReporter>,

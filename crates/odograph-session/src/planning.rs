@@ -4,12 +4,12 @@ use crate::builder::{CameraChoice, MountChoice, RunBuilder};
 use crate::markers::MarkerWatch;
 use crate::observer::Observer;
 use crate::plan::{FrameChoice, RunPlan, SourcePlan};
-use crate::rig::{doubtful_focal_length, other_size, parse_camera, read_rig, recorded_rig};
+use crate::rig::{StatedRig, doubtful_focal_length, other_size, parse_camera, recorded_rig};
 use crate::{budget, files, pixel_shape};
-use odograph::camera::{CalibrationDeviations, Camera, CameraUncertainty, LeverArm, Rig, RigDeviations};
+use odograph::camera::{CalibrationDeviations, Camera, CameraUncertainty, LeverArm, Rig};
 use odograph::error::{Error, Result};
+use odograph::formats::camera_file;
 use odograph::formats::decimal::Rounded;
-use odograph::formats::{camera_file, rig_file};
 use odograph::ground_map::MountedCamera;
 use odograph::loop_closure::LoopClosureConfig;
 use odograph::motion::MotionModel;
@@ -36,11 +36,12 @@ impl RunBuilder {
         let early = (!waits).then(|| given.rig(self, observer)).transpose()?;
         let (source, size) = open(&self.source)?;
         let given = given.of_size(size)?;
-        let rig = early.map_or_else(|| given.rig(self, observer), Ok)?;
+        let StatedRig { rig, deviations, antenna } = early.map_or_else(|| given.rig(self, observer), Ok)?;
         let by_field = matches!(given, GivenCamera::Field(_));
         let uncertainty = given.uncertainty()?;
         let camera = given.camera(size, rig.height_m)?;
-        let deviations = self.deviations((&camera, uncertainty.as_ref()), &rig)?;
+        let deviations =
+            CalibrationDeviations::new((&camera, uncertainty.as_ref()), (rig.height_m, &deviations));
         let camera = match self.readout_s {
             Some(seconds) => camera.with_readout_s(Some(seconds))?,
             None => camera,
@@ -74,7 +75,7 @@ impl RunBuilder {
             rig,
             deviations,
             frame: self.frame.or(rig.lever_arm.map(|_| FrameChoice::BaseLink)),
-            antenna: self.antenna(&rig, observer)?,
+            antenna: antenna.map_or_else(|| self.recorded_antenna(&rig, observer), |arm| Ok(Some(arm)))?,
             images: EarlierPass::default(),
             mask: self.mask.clone(),
             markers: self.markers.clone(),
@@ -140,32 +141,9 @@ impl RunBuilder {
         })
     }
 
-    /// Standard deviations of camera and mount, from their files.
-    fn deviations(
-        &self,
-        camera: (&Camera, Option<&CameraUncertainty>),
-        rig: &Rig,
-    ) -> Result<CalibrationDeviations> {
-        let mount = match &self.mount {
-            Some(MountChoice::File(path)) => {
-                let measured = rig_file::parse_measured(&files::read_text(path)?);
-                measured.map_err(|error| error.at(path.display()))?.deviations
-            }
-            _ => RigDeviations::default(),
-        };
-        Ok(CalibrationDeviations::new(camera, (rig.height_m, &mount)))
-    }
-
-    /// The antenna of the satellite receiver: that of the rig file, or else of the static
-    /// transforms of the recording, where it is known where the camera is on the robot.
-    fn antenna(&self, rig: &Rig, observer: &dyn Observer) -> Result<Option<LeverArm>> {
-        if let Some(MountChoice::File(path)) = &self.mount {
-            let text = files::read_text(path)?;
-            let given = rig_file::parse_antenna(&text).map_err(|error| error.at(path.display()))?;
-            if given.is_some() {
-                return Ok(given);
-            }
-        }
+    /// The antenna of the satellite receiver by the static transforms of the recording, where it is
+    /// known where the camera is on the robot.
+    fn recorded_antenna(&self, rig: &Rig, observer: &dyn Observer) -> Result<Option<LeverArm>> {
         let Some(topic) = self.sensors.gnss_topic.as_deref().filter(|_| rig.lever_arm.is_some()) else {
             return Ok(None);
         };
@@ -283,22 +261,22 @@ impl<'a> GivenCamera<'a> {
         Ok(cameras.into_iter().find(is_same).map(|mounted| mounted.rig))
     }
 
-    fn rig(&self, builder: &RunBuilder, observer: &dyn Observer) -> Result<Rig> {
-        match (&builder.mount, self) {
-            (Some(MountChoice::File(path)), _) => read_rig(path, observer),
+    fn rig(&self, builder: &RunBuilder, observer: &dyn Observer) -> Result<StatedRig> {
+        let rig = match (&builder.mount, self) {
+            (Some(MountChoice::File(path)), _) => return StatedRig::read(path, observer),
             (Some(MountChoice::Known(rig)), _) => rig.validated(),
             (Some(MountChoice::Height(height_m)), Self::Field(_)) => Rig::level(*height_m).validated(),
             (Some(MountChoice::Height(height_m)), _) => {
                 let level = Rig::level(*height_m).validated()?;
                 let SourcePlan { path, topic, .. } = &builder.source;
                 if let Some(recorded) = recorded_rig(path, topic.as_deref(), Some(*height_m), observer)? {
-                    return Ok(recorded);
+                    return Ok(recorded.into());
                 }
                 // The height alone does not say whose poses the map has. Without a lever arm they
                 // are the camera's, and its tilt is estimated as without a map.
                 let there = self.rig_in_map(builder)?;
                 let Some((there, arm)) = there.and_then(|rig| Some((rig, rig.lever_arm?))) else {
-                    return Ok(level);
+                    return Ok(level.into());
                 };
                 note_kept_mount(&there, arm, observer);
                 Rig { height_m: *height_m, ..there }.validated()
@@ -317,7 +295,8 @@ impl<'a> GivenCamera<'a> {
                     )
                 })
             }
-        }
+        };
+        rig.map(StatedRig::from)
     }
 
     /// How well its parameters are known, where its file says so.

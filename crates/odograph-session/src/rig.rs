@@ -3,7 +3,7 @@
 
 use crate::files;
 use crate::observer::Observer;
-use odograph::camera::{Camera, Distortion, LeverArm, Rig};
+use odograph::camera::{Camera, Distortion, LeverArm, Rig, RigDeviations};
 use odograph::error::{Error, Result};
 use odograph::formats::decimal::Rounded;
 use odograph::formats::{camera_file, rig_file};
@@ -74,37 +74,60 @@ pub(crate) fn doubtful_focal_length(camera: &Camera) -> Option<String> {
     })
 }
 
+/// A mount, how well it is known, and where the antenna is: what a rig file states.
+#[derive(Debug, Clone)]
+pub(crate) struct StatedRig {
+    pub rig: Rig,
+    pub deviations: RigDeviations,
+    /// The antenna of the satellite receiver.
+    pub antenna: Option<LeverArm>,
+}
+
+impl From<Rig> for StatedRig {
+    fn from(rig: Rig) -> Self {
+        Self { rig, deviations: RigDeviations::default(), antenna: None }
+    }
+}
+
 /// The rig in a file; the observer hears of a height that is probably in another unit.
 ///
 /// # Errors
 /// If the file cannot be read or is no rig file.
 pub fn read_rig(path: &Path, observer: &dyn Observer) -> Result<Rig> {
-    let text = files::read_text(path)?;
-    let measured = rig_file::parse_measured(&text).map_err(|error| {
-        if camera_file::parse(&text, Some((640, 480))).is_ok() {
-            return Error::input("this is a camera file, not a rig file; give it with --camera")
-                .at(path.display());
-        }
-        error.at(path.display())
-    })?;
-    let rig = measured.rig;
-    if let Some(LeverArm { z_m, .. }) = rig.lever_arm.filter(|arm| arm.z_m > rig.height_m) {
-        return Err(Error::input(format!(
+    StatedRig::read(path, observer).map(|stated| stated.rig)
+}
+
+impl StatedRig {
+    /// See [`read_rig`].
+    pub fn read(path: &Path, observer: &dyn Observer) -> Result<Self> {
+        let text = files::read_text(path)?;
+        let measured = rig_file::parse_measured(&text).map_err(|error| {
+            if camera_file::parse(&text, Some((640, 480))).is_ok() {
+                return Error::input("this is a camera file, not a rig file; give it with --camera")
+                    .at(path.display());
+            }
+            error.at(path.display())
+        })?;
+        let rig = measured.rig;
+        if let Some(LeverArm { z_m, .. }) = rig.lever_arm.filter(|arm| arm.z_m > rig.height_m) {
+            return Err(Error::input(format!(
             "z_m is {z_m} and height_m {}: base_link would lie below the ground; z_m is how far the camera is above \
              base_link, at most height_m",
             rig.height_m
         ))
         .at(path.display()));
+        }
+        if let Some((_, name)) = doubtful_unit(rig.height_m) {
+            observer.warn(&format!(
+                "{}: height_m is {}, a camera {} metres above the ground; are {name} meant?",
+                path.display(),
+                rig.height_m,
+                rig.height_m,
+            ));
+        }
+        let antenna = rig_file::parse_antenna(&text).map_err(|error| error.at(path.display()))?;
+        Ok(Self { rig, deviations: measured.deviations, antenna })
     }
-    if let Some((_, name)) = doubtful_unit(rig.height_m) {
-        observer.warn(&format!(
-            "{}: height_m is {}, a camera {} metres above the ground; are {name} meant?",
-            path.display(),
-            rig.height_m,
-            rig.height_m,
-        ));
-    }
-    Ok(rig)
 }
 
 /// The camera in the text of the file at `path`, for images of this size, pixels.

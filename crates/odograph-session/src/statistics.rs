@@ -8,6 +8,7 @@ use crate::timings::{StageTime, Timings};
 use odograph::drawing::scale::length_text;
 use odograph::error::{Error, Result};
 use odograph::filter::fusion::{SensorKind, SensorParameter, SensorReport};
+use odograph::image::ImageDefects;
 use serde::Serialize;
 use std::collections::BTreeMap;
 use std::time::Duration;
@@ -47,22 +48,9 @@ pub struct RunStatistics {
     /// The readout time of the image, and whether it was given or learned; left out where neither.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub readout: Option<FoundReadout>,
-    /// Whether the video is interlaced; left out where it is not.
-    #[serde(skip_serializing_if = "std::ops::Not::not")]
-    pub interlaced: bool,
-    /// Whether rows are brighter or darker at random, which was corrected; left out where not.
-    #[serde(skip_serializing_if = "std::ops::Not::not")]
-    pub row_noise: bool,
-    /// The same of columns.
-    #[serde(skip_serializing_if = "std::ops::Not::not")]
-    pub column_noise: bool,
-    /// Whether single pixels are white or black at random, which was corrected; left out where not.
-    #[serde(skip_serializing_if = "std::ops::Not::not")]
-    pub impulse_noise: bool,
-    /// Whether single pixels are mostly noise, so that images of a coarser resolution were tracked;
-    /// left out where not.
-    #[serde(skip_serializing_if = "std::ops::Not::not")]
-    pub pixel_noise: bool,
+    /// What was wrong with the images; each is left out where it was not there.
+    #[serde(flatten)]
+    pub defects: ImageDefects,
     /// Mask of what is static in the image.
     pub fixed_in_image: FixedInImage,
     /// Whether the run was ended early by a signal.

@@ -11,6 +11,7 @@ use odograph::error::{Error, Result};
 use odograph_live::server::http::{self, Answer, HttpRefusal, Method, Request, RequestReader};
 use odograph_live::server::listener::{Connection, Listener};
 use odograph_map::SessionOrigin;
+use odograph_video::png_from_rgba;
 use serde_json::{Value, json};
 use std::cell::RefCell;
 use std::io;
@@ -248,19 +249,12 @@ fn mosaic(site: &Site) -> Answer {
         Ok(None) => return Answer::nothing(),
         Err(_) => return Answer::refusal(NOT_FOUND),
     };
-    let mut bytes = Vec::new();
-    let mut encoder = png::Encoder::new(&mut bytes, picture.width as u32, picture.height as u32);
-    encoder.set_color(png::ColorType::Rgba);
-    encoder.set_depth(png::BitDepth::Eight);
-    let written = encoder.write_header().and_then(|mut writer| writer.write_image_data(&picture.rgba));
-    match written {
-        Ok(()) => {
-            let placement = picture.placement;
-            Answer::ok("image/png", bytes).with(
-                "X-Placement",
-                format!("{} {} {}", placement.metres_per_pixel, placement.x_m, placement.y_m),
-            )
-        }
+    let placement = picture.placement;
+    match png_from_rgba(picture.width, picture.height, &picture.rgba) {
+        Ok(bytes) => Answer::ok("image/png", bytes).with(
+            "X-Placement",
+            format!("{} {} {}", placement.metres_per_pixel, placement.x_m, placement.y_m),
+        ),
         Err(_) => Answer::refusal(HttpRefusal(500, "Internal Server Error")),
     }
 }

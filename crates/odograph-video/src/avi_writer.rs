@@ -1,9 +1,6 @@
 //! Writes an AVI file of JPEG pictures (Microsoft, "AVI RIFF File Reference": one video stream,
 //! `00dc` chunks, `idx1` index).
 
-use jpeg_encoder::{ColorType, Encoder, SamplingFactor};
-use odograph::error::{Error, Result};
-use odograph::image::RgbImage;
 use std::io::{self, Seek, SeekFrom, Write};
 
 /// RIFF counts bytes in 32 bits; not all readers accept more than half of that.
@@ -90,23 +87,6 @@ impl<W: Write + Seek> AviWriter<W> {
         self.file.flush()?;
         Ok(self.file)
     }
-}
-
-/// A picture as the bytes of a JPEG file, for [`AviWriter::add`]; `quality` is 1 to 100. Chroma has
-/// half the size, as players of Motion JPEG expect.
-///
-/// # Errors
-/// If the picture exceeds the size limits of JPEG, 65535 pixels on a side.
-pub fn jpeg_picture(picture: &RgbImage, quality: u8) -> Result<Vec<u8>> {
-    let (width, height) = (picture.width(), picture.height());
-    let cannot = |why: String| Error::output(format!("a {width}x{height} JPEG cannot be encoded: {why}"));
-    let side = |pixels: usize| u16::try_from(pixels).map_err(|error| cannot(error.to_string()));
-    let mut jpeg = Vec::with_capacity(width * height / 3);
-    let mut encoder = Encoder::new(&mut jpeg, quality);
-    encoder.set_sampling_factor(SamplingFactor::F_2_2);
-    let encoded = encoder.encode(picture.samples(), side(width)?, side(height)?, ColorType::Rgb);
-    encoded.map_err(|error| cannot(error.to_string()))?;
-    Ok(jpeg)
 }
 
 /// Bytes of a picture with its name, its size and its padding.

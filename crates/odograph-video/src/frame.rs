@@ -64,6 +64,17 @@ impl Picture {
     pub fn gray(gray: GrayImage) -> Self {
         Self { gray, color: None }
     }
+
+    /// A picture from decoded planes; without colour if its chroma is not whole, `None` if there
+    /// are not as many samples as pixels.
+    pub(crate) fn from_planes(
+        (width, height): (usize, usize),
+        luminance: Vec<u8>,
+        chroma: Option<Chroma>,
+    ) -> Option<Self> {
+        let gray = GrayImage::from_samples(width, height, luminance)?;
+        Some(Self { gray, color: chroma.filter(Chroma::is_whole).map(Color::Chroma) })
+    }
 }
 
 /// Colour of a picture, in addition to its luminance.

@@ -57,9 +57,10 @@ mod bag;
 mod source;
 mod inspection;
 mod avi_writer;
+mod encode;
 
 pub use arrival_clock::ArrivalClock;
-pub use avi_writer::{AviFormat, AviWriter, jpeg_picture};
+pub use avi_writer::{AviFormat, AviWriter};
 pub use bag::{
     LiveMessage, LiveTopic, LiveTransforms, MessageCursor, RecordedMount, RecordedTransforms,
     is_recording_folder, is_robot_recording, recorded_antenna, recorded_camera, recorded_fixes,
@@ -69,6 +70,10 @@ pub use bayer::BayerPattern;
 #[cfg(fuzzing)]
 pub use codec::read_parameter_sets;
 pub use contents::{Contents, Gap, Stream, StreamUse};
+pub use encode::{
+    jpeg_from_gray, jpeg_from_rgb, png_from_gray, png_from_rgb, png_from_rgb_samples, png_from_rgba,
+    png_from_rgba_bands, png_to_print,
+};
 pub use frame::{Frame, Picture};
 pub use inspection::inspect;
 pub use pictures::picture_fixes;

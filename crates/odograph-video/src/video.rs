@@ -67,13 +67,14 @@ pub(crate) fn open(path: Option<&Path>, reader: Box<dyn PacketReader>, color: bo
             video.track.container
         )));
     }
+    let stream = video.decoder.stream();
     Ok(Opened {
         frame_count: video.track.frame_count,
         frames_within: video.track.frames_within,
-        description: format!("{} in {}", video.decoder.description(), video.track.container),
+        description: format!("{} in {}", stream.description, video.track.container),
         timestamps_used: false,
         times_known: video.track.times != Times::Unknown,
-        frames_per_second: video.decoder.frames_per_second(),
+        frames_per_second: stream.frames_per_second,
         frames: Box::new(video),
     })
 }
@@ -159,7 +160,7 @@ impl Video {
                 }
                 self.waiting.push((self.group, picture));
             }
-            self.release(if self.ended { 0 } else { self.decoder.reorder_depth() });
+            self.release(if self.ended { 0 } else { self.decoder.stream().reorder_depth });
         }
         Ok(())
     }

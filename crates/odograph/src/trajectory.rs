@@ -44,16 +44,76 @@ pub enum LossReason {
     NotPlanar,
 }
 
-impl fmt::Display for LossReason {
-    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
-        f.write_str(match self {
+impl LossReason {
+    /// All of them.
+    pub const ALL: [Self; 6] =
+        [Self::Bare, Self::Dark, Self::Jump, Self::Blur, Self::Shadow, Self::NotPlanar];
+
+    /// Its name in files.
+    pub fn name(self) -> &'static str {
+        match self {
             Self::Bare => "bare",
             Self::Dark => "dark",
             Self::Jump => "jump",
             Self::Blur => "blur",
             Self::Shadow => "shadow",
             Self::NotPlanar => "not-planar",
-        })
+        }
+    }
+
+    /// The reason of this name; `None` if there is none.
+    pub fn named(name: &str) -> Option<Self> {
+        Self::ALL.into_iter().find(|reason| reason.name() == name)
+    }
+}
+
+impl fmt::Display for LossReason {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        f.write_str(self.name())
+    }
+}
+
+/// An interval of consecutive frames without a pose.
+#[derive(Debug, Clone, PartialEq)]
+pub struct LostStretch {
+    /// Time of the first lost frame, seconds.
+    pub from_s: f64,
+    /// Time of the next frame with a pose (the last frame if there is none), seconds.
+    pub to_s: f64,
+    /// Number of frames without a pose.
+    pub frames: u64,
+    /// The distinct reasons, in order of occurrence.
+    pub reasons: Vec<LossReason>,
+}
+
+/// Gathers the intervals without a pose.
+#[derive(Debug, Default)]
+pub struct LostStretches {
+    stretches: Vec<LostStretch>,
+    is_lost: bool,
+}
+
+impl LostStretches {
+    /// Adds the next frame.
+    pub fn push(&mut self, time_s: f64, status: TrackStatus) {
+        let was_lost = std::mem::replace(&mut self.is_lost, status != TrackStatus::Tracked);
+        if self.is_lost && !was_lost {
+            let (from_s, to_s) = (time_s, time_s);
+            self.stretches.push(LostStretch { from_s, to_s, frames: 0, reasons: Vec::new() });
+        }
+        let Some(stretch) = self.stretches.last_mut().filter(|_| self.is_lost || was_lost) else { return };
+        stretch.to_s = time_s;
+        if let TrackStatus::Lost { reason } = status {
+            stretch.frames += 1;
+            if !stretch.reasons.contains(&reason) {
+                stretch.reasons.push(reason);
+            }
+        }
+    }
+
+    /// The intervals in order.
+    pub fn finish(self) -> Vec<LostStretch> {
+        self.stretches
     }
 }
 

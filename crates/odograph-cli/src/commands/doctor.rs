@@ -70,9 +70,7 @@ pub fn doctor(arguments: DoctorArguments) -> Result<Outcome> {
         files::write(page, examination_html(name, &diagnosis).as_bytes())?;
     }
     if arguments.json {
-        let text = serde_json::to_string_pretty(&diagnosis)
-            .map_err(|error| Error::output(format!("the findings cannot be written as JSON: {error}")))?;
-        console::print(&(text + "\n"))?;
+        console::print_json("the findings", &diagnosis)?;
     } else {
         console::print(&text(&arguments.file, &diagnosis, arguments.quiet))?;
     }

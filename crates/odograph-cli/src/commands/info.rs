@@ -4,7 +4,7 @@ use super::run::{CameraSetup, ProfileChoice};
 use crate::console::quoted;
 use crate::{Outcome, console, files};
 use odograph::camera::Camera;
-use odograph::error::{Error, Result};
+use odograph::error::Result;
 use odograph::formats::camera_file;
 use odograph_video::{Contents, RecordedCamera, RecordedTransforms, Stream, StreamUse};
 use serde::Serialize;
@@ -98,7 +98,7 @@ pub fn info(arguments: InfoArguments) -> Result<Outcome> {
     };
     let fits = contents.streams.iter().map(fit).collect::<Result<Vec<_>>>()?;
     if arguments.json {
-        console::print(&json(&arguments.file, &contents, &fits)?)?;
+        print_json(&arguments.file, &contents, &fits)?;
     } else {
         let given = arguments.camera.as_deref().filter(|_| fits.contains(&Some(CameraFit::Fits)));
         let profile = arguments.chosen.profile.as_deref();
@@ -144,7 +144,7 @@ fn has_height(file: &str, topic: Option<&str>) -> bool {
     matches!(mount, Some(Ok(Some(RecordedTransforms::Mount(mount)))) if mount.height_m.is_some())
 }
 
-fn json(file: &str, contents: &Contents, fits: &[Option<CameraFit>]) -> Result<String> {
+fn print_json(file: &str, contents: &Contents, fits: &[Option<CameraFit>]) -> Result<()> {
     let streams = contents.streams.iter().zip(fits).map(|(stream, camera_fits)| StreamJson {
         topic: stream.topic.as_deref(),
         kind: &stream.kind,
@@ -168,9 +168,7 @@ fn json(file: &str, contents: &Contents, fits: &[Option<CameraFit>]) -> Result<S
     });
     let json =
         InfoJson { file, format: &contents.format, streams: streams.collect(), warnings: &contents.warnings };
-    let text = serde_json::to_string_pretty(&json)
-        .map_err(|error| Error::output(format!("the contents cannot be written as JSON: {error}")))?;
-    Ok(text + "\n")
+    console::print_json("the contents", &json)
 }
 
 /// The contents for people: a line for each stream, and what it is good for below it.

@@ -5,7 +5,7 @@ use super::run::{
     CameraSetup, ConsoleObserver, LogArguments, Motion, PoseFrameName, ProfileChoice, tell_warnings,
 };
 use crate::{Outcome, console};
-use odograph::error::{Error, Result};
+use odograph::error::Result;
 use odograph::formats::decimal::Rounded;
 use odograph_map::MapFile;
 use odograph_report::HtmlReporter;
@@ -198,9 +198,7 @@ fn print_result(arguments: &LocalizeArguments, report: &RunOutcome) -> Result<()
             alike,
             statistics: &report.statistics,
         };
-        let text = serde_json::to_string_pretty(&json)
-            .map_err(|error| Error::output(format!("the place cannot be written as JSON: {error}")))?;
-        console::print(&(text + "\n"))?;
+        console::print_json("the place", &json)?;
     } else if let Some(place) = report.place.filter(|_| !arguments.quiet) {
         console::print(&sentence(&place, source(&place), report.statistics.frames))?;
         if let Some(folder) = &arguments.output {

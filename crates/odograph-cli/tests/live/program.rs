@@ -1,7 +1,6 @@
 //! The program in a temporary folder, and the bundled drive.
 
-use jpeg_encoder::{ColorType, Encoder};
-use odograph_video::SourceOptions;
+use odograph_video::{SourceOptions, jpeg_from_gray};
 use serde_json::Value;
 use std::fs;
 use std::io::{BufRead, BufReader, Read, Write};
@@ -148,10 +147,7 @@ pub fn pictures() -> Vec<Vec<u8>> {
     let mut source = beginning(2);
     let mut pictures = Vec::new();
     while let Some(frame) = source.next_frame().unwrap() {
-        let mut jpeg = Vec::new();
-        let (width, height) = (frame.gray.width() as u16, frame.gray.height() as u16);
-        Encoder::new(&mut jpeg, 90).encode(frame.gray.samples(), width, height, ColorType::Luma).unwrap();
-        pictures.push(jpeg);
+        pictures.push(jpeg_from_gray(&frame.gray, 90).unwrap());
     }
     pictures
 }

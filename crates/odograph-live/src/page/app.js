@@ -139,7 +139,7 @@ function showState() {
   lost(at) ? say(`lost: ${lost(at)}`, "bad") : say(status.recording ? "tracked, recording" : "tracked, not recording", status.recording ? "good" : "warn");
 }
 
-// A map does not say why frames are missing.
+// A map of an older program does not say why frames are missing.
 const lost = k => k >= 0 && k < track.count ? CAUSES[track.get(k, "state")] || (Number.isFinite(track.get(k, "x")) ? "" : "no frame has a pose here") : "";
 
 let distances = { count: 0, sums: new Float32Array(4096) };

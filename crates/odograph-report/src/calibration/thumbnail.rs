@@ -1,8 +1,8 @@
 //! Small pictures of the views.
 
-use jpeg_encoder::{ColorType, Encoder};
 use odograph::drawing::svg::data_uri;
 use odograph::image::GrayImage;
+use odograph_video::jpeg_from_gray;
 
 /// Longest side, pixels: the board and its tilt can be recognised.
 const SIDE_PX: usize = 176;
@@ -12,8 +12,8 @@ const QUALITY: u8 = 62;
 /// An image, small enough to keep one of each view.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub struct Thumbnail {
-    width: u16,
-    height: u16,
+    width: usize,
+    height: usize,
     jpeg: Vec<u8>,
 }
 
@@ -43,10 +43,8 @@ impl Thumbnail {
                 small.push((sum / count) as u8);
             }
         }
-        let (width, height) = (u16::try_from(columns).ok()?, u16::try_from(rows).ok()?);
-        let mut jpeg = Vec::new();
-        Encoder::new(&mut jpeg, QUALITY).encode(&small, width, height, ColorType::Luma).ok()?;
-        Some(Self { width, height, jpeg })
+        let jpeg = jpeg_from_gray(&GrayImage::from_samples(columns, rows, small)?, QUALITY).ok()?;
+        Some(Self { width: columns, height: rows, jpeg })
     }
 
     /// The image element of a page; `alt` is escaped.

@@ -1,6 +1,6 @@
 //! The end of a run: smoothing, sensor fusion and loop correction, output files and drawings.
-//! Trajectories are written first, because they cannot be recovered without the recording. Later
-//! failures are reported at the end, after everything else is written.
+//! Trajectories are written first, because they cannot be recovered without the recording. What
+//! fails after that is left out, and is reported after everything else has been written.
 
 mod abrupt;
 mod improvement;
@@ -71,9 +71,13 @@ pub fn finish(
         .inspect_err(|error| give_warnings(live_warnings(&tracked), error, ending.observer))?;
     let mut pose_frames = PoseFrames::from(plan.pose_frame()?);
     tracked.recalibrated.iter().for_each(|(frame, rig)| pose_frames.recalibrate(*frame, rig));
-    let failure = ended_early(&mut tracked);
-    let mut run = Finishing { failure, plan, pose_frames, tracked, reckoned: Vec::new(), folder, ending };
-    run.finish().inspect_err(|error| give_warnings(live_warnings(&run.tracked), error, ending.observer))
+    let (reckoned, failures) = (Vec::new(), Vec::new());
+    let mut run = Finishing { plan, pose_frames, tracked, reckoned, folder, ending, failure: None, failures };
+    run.finish().inspect_err(|error| {
+        // The warnings of a live run name its failures, too.
+        let told = if run.tracked.live.is_some() { &run.tracked.warnings } else { &run.failures };
+        give_warnings(told, error, ending.observer);
+    })
 }
 
 fn live_warnings(tracked: &Tracked) -> &[String] {
@@ -108,6 +112,8 @@ struct Finishing<'a> {
     ending: &'a Ending<'a>,
     /// The error that ended the recording early, or the first that prevented an output.
     failure: Option<Error>,
+    /// What ended early or is missing because of such errors, a sentence each.
+    failures: Vec<String>,
 }
 
 /// Warning about interlaced video.
@@ -157,19 +163,11 @@ fn impossible_readout(plan: &RunPlan, frames: &KeptFrames) -> Option<String> {
     })
 }
 
-/// The errors that ended the recording or its map early, each with a warning.
-fn ended_early(tracked: &mut Tracked) -> Option<Error> {
-    let recording = tracked.failure.take();
-    tracked.warnings.extend(recording.as_ref().map(|error| format!("the recording ended early: {error}")));
-    let map = tracked.unmapped.take();
-    tracked.warnings.extend(map.as_ref().map(|error| format!("the map ended early: {error}")));
-    recording.or(map)
-}
-
 impl Finishing<'_> {
     /// The steps of the end, one after the other.
     fn finish(&mut self) -> Result<RunOutcome> {
         let (plan, ending, pose_frames) = (self.plan, self.ending, self.pose_frames.clone());
+        self.report_early_end();
         self.report_calibration()?;
         self.warn(impossible_readout(plan, &self.tracked.frames));
         let abrupt = widen_abrupt(&mut self.tracked.frames, self.folder.path())?;
@@ -187,7 +185,7 @@ impl Finishing<'_> {
         // The page of a live run shows the mosaic, too.
         if ending.output.draws() || self.tracked.live.is_some() {
             let found = (place.as_ref(), resemblance.as_ref());
-            self.draw(corrected.as_mut(), &frames, &sensors, markers.as_ref(), on_earth.as_ref(), found)?;
+            self.draw(corrected.as_mut(), &frames, &sensors, markers.as_ref(), on_earth.as_ref(), found);
         }
         let estimated = Estimated { loops, markers, gnss: on_earth.map(|on_earth| on_earth.statistics) };
         self.end(frames, (place, resemblance), &sensors, estimated)
@@ -199,8 +197,28 @@ impl Finishing<'_> {
 
     /// An output other than the trajectories failed: the run continues and fails at the end.
     fn fail(&mut self, what: &str, error: Error) {
-        self.warn([format!("{what}: {error}")]);
+        let sentence = format!("{what}: {error}");
+        self.failures.push(sentence.clone());
+        self.warn([sentence]);
         self.failure.get_or_insert(error);
+    }
+
+    /// What an output made, or its default where it failed; see [`Finishing::fail`].
+    fn or_without<T: Default>(&mut self, what: &str, output: Result<T>) -> T {
+        output.unwrap_or_else(|error| {
+            self.fail(what, error);
+            T::default()
+        })
+    }
+
+    /// The errors that ended the recording or its map early.
+    fn report_early_end(&mut self) {
+        if let Some(error) = self.tracked.failure.take() {
+            self.fail("the recording ended early", error);
+        }
+        if let Some(error) = self.tracked.unmapped.take() {
+            self.fail("the map ended early", error);
+        }
     }
 
     /// Warns where the estimated mount, lens or readout time differs from the plan, and where
@@ -248,51 +266,53 @@ impl Finishing<'_> {
         let frames = improved.corrected.as_mut().unwrap_or(&mut self.tracked.frames);
         let text = self.plan.text_in(self.folder.path())?;
         self.folder.write_trajectories(frames, &self.pose_frames, &text)?;
-        if let Some(received) = self.ending.gnss.and_then(GnssRecord::received_csv)
-            && let Err(error) = self.folder.write(RECEIVED_FIXES, received.as_bytes())
-        {
-            self.fail("the positions of the receiver are not kept", error);
+        if let Some(received) = self.ending.gnss.and_then(GnssRecord::received_csv) {
+            let written = self.folder.write(RECEIVED_FIXES, received.as_bytes());
+            self.or_without("the positions of the receiver are not kept", written);
         }
-        let camera = camera_file::write(&self.plan.camera);
-        // The camera file of an earlier run may be the input of this one; it is kept.
-        let stays = self.folder.holds(FOUND_CAMERA, camera.as_bytes());
-        match self.tracked.lens {
-            Some(_) => self.folder.write(FOUND_CAMERA, camera.as_bytes())?,
-            None if stays => {}
-            None => self.folder.remove(FOUND_CAMERA)?,
-        }
-        if let Some(mask) = &self.tracked.fixed.mask {
-            self.folder.write(MASK, &files::png_from_gray(&mask.picture())?)?;
-        } else {
-            self.folder.remove(MASK)?;
-        }
+        let written = self.write_found_camera();
+        self.or_without("the estimated lens is not kept", written);
+        let written = match &self.tracked.fixed.mask {
+            Some(mask) => files::png_from_gray(&mask.picture()).and_then(|png| self.folder.write(MASK, &png)),
+            None => self.folder.remove(MASK),
+        };
+        self.or_without("the mask is not kept", written);
         let pose_frames = &self.pose_frames;
-        self.folder.write_tum("odometry.tum", pose_frames.last(), |put| {
+        let written = self.folder.write_tum("odometry.tum", pose_frames.last(), |put| {
             self.tracked.frames.each(|frame, _| pose_frames.stamped(frame).as_ref().map_or(Ok(()), &mut *put))
-        })?;
-        // The map comes after the trajectories because it may not fit on the disk; later outputs
-        // are written even then.
+        });
+        self.or_without("there is no path as odometry had it", written);
+        // The map comes after the trajectories because it may not fit on the disk.
         let frames = improved.corrected.as_mut().unwrap_or(&mut self.tracked.frames);
-        let mask = self.tracked.fixed.mask.as_ref();
-        if let Err(error) = self.tracked.mapping.save(frames, mask) {
-            self.fail("the map is not where the trajectories are", error);
-        }
+        let saved = self.tracked.mapping.save(frames, self.tracked.fixed.mask.as_ref());
+        self.or_without("the map is not where the trajectories are", saved);
         let frames = improved.corrected.as_mut().unwrap_or(&mut self.tracked.frames);
         let recalibrated = &self.tracked.recalibrated;
-        self.reckoned = write_smoothed(
+        let smoothed = write_smoothed(
             frames,
             &improved.reckoned,
             self.plan,
             recalibrated,
             &self.pose_frames,
             self.folder,
-        )?;
-        if let Some(bag) = &self.ending.output.bag
-            && let Err(error) = self.write_bag(bag, improved)
-        {
-            self.fail("there is no bag", error);
+        );
+        self.reckoned = self.or_without("there is no smoothed path", smoothed);
+        if let Some(bag) = &self.ending.output.bag {
+            let written = self.write_bag(bag, improved);
+            self.or_without("there is no bag", written);
         }
         Ok(())
+    }
+
+    /// The camera file with the estimated lens. One of an earlier run that is the input of this one
+    /// is kept.
+    fn write_found_camera(&mut self) -> Result<()> {
+        let camera = camera_file::write(&self.plan.camera);
+        match self.tracked.lens {
+            Some(_) => self.folder.write(FOUND_CAMERA, camera.as_bytes()),
+            None if self.folder.holds(FOUND_CAMERA, camera.as_bytes()) => Ok(()),
+            None => self.folder.remove(FOUND_CAMERA),
+        }
     }
 
     /// Reports the overlay video, which was written while tracking.
@@ -364,9 +384,11 @@ impl Finishing<'_> {
             None => None,
         };
         self.warn(on_earth.iter().flat_map(|on_earth| on_earth.warnings.clone()));
-        self.write_found_rig(&improved.antenna, &improved.sensors)?;
+        let written = self.write_found_rig(&improved.antenna, &improved.sensors);
+        self.or_without("the mount that was found is not kept", written);
         let place = on_earth.as_ref().and_then(|on_earth| on_earth.place.as_ref());
-        earth::write(self.folder, place, summaries)?;
+        let written = earth::write(self.folder, place, summaries);
+        self.or_without("there is no path on Earth", written);
         Ok(on_earth)
     }
 
@@ -401,7 +423,7 @@ impl Finishing<'_> {
         markers: Option<&MarkerStatistics>,
         on_earth: Option<&OnEarth>,
         (place, resemblance): (Option<&PoseInMap>, Option<&Resemblance>),
-    ) -> Result<()> {
+    ) {
         let Ending { description, reporter, observer, reference, .. } = *self.ending;
         let threads = self.ending.output.threads();
         let tracked = &mut self.tracked;
@@ -410,10 +432,8 @@ impl Finishing<'_> {
         mosaic.set_mask(tracked.fixed.mask.clone());
         let rendered =
             tracked.views.render(mosaic, &self.plan.camera, corrected, &mut tracked.mapping, threads);
-        let mosaic = rendered.unwrap_or_else(|error| {
-            self.fail("there is no picture of the ground", error);
-            Mosaic::new(Default::default())
-        });
+        let mosaic = self.or_without("there is no picture of the ground", rendered.map(Some));
+        let mosaic = mosaic.unwrap_or_else(|| Mosaic::new(Default::default()));
         let compared = reference.and_then(|reference| {
             reference
                 .compared(self.folder.path())
@@ -438,28 +458,24 @@ impl Finishing<'_> {
             sensors,
             reference: compared.as_ref(),
         };
-        let drawn = pictures::write(
-            self.plan,
-            &shown,
-            &mut tracked.mapping,
-            self.folder,
-            reporter,
-            threads,
-            observer,
-        )?;
-        tracked.warnings.extend(match &drawn.ground {
-            Ok(warning) => warning.clone(),
-            Err(error) => Some(format!("the map has no new picture of the ground: {error}")),
-        });
-        if let Some(place) = on_earth.and_then(|on_earth| on_earth.place.as_ref()) {
-            self.write_earth_mosaic(&place.anchor)?;
+        let mapping = &mut tracked.mapping;
+        let drawn = pictures::write(self.plan, &shown, mapping, self.folder, reporter, threads, observer);
+        let warning = self.or_without("the map has no new picture of the ground", drawn.ground);
+        self.warn(warning);
+        for (what, failure) in drawn.failures {
+            self.fail(what, failure);
         }
+        if let Some(place) = on_earth.and_then(|on_earth| on_earth.place.as_ref()) {
+            let written = self.write_earth_mosaic(&place.anchor);
+            self.or_without("there is no picture of the ground on Earth", written);
+        }
+        let looked_into = self.ending.output.map.path().filter(|_| self.ending.output.localizes());
+        let ground = looked_into.map_or(Ok(None), |_| self.tracked.mapping.ground_within(MAP_PIXELS));
+        let ground = self.or_without("the report has no picture of the map", ground);
         let tracked = &self.tracked;
         let early = || stopped_early(frames.len() as u64, tracked.announced, tracked.live.as_ref());
         let interruption = tracked.interrupted.then(early).flatten();
         let beside = files_beside(self.folder, tracked.mapping.written());
-        let looked_into = self.ending.output.map.path().filter(|_| self.ending.output.localizes());
-        let ground = looked_into.map(|_| tracked.mapping.ground_within(MAP_PIXELS)).transpose()?.flatten();
         let alike = resemblance.map_or(&[][..], |resemblance| &resemblance.places);
         let verdict = resemblance.map_or(ResemblanceVerdict::TooFewFeatures, |one| one.verdict);
         let reason = match (place, looked_into) {
@@ -478,20 +494,16 @@ impl Finishing<'_> {
             files: &beside,
             localization,
         };
-        pictures::write_page(self.plan, &shown, &drawn, &told, self.folder, reporter)?;
-        if let Err(error) = drawn.ground {
-            self.failure.get_or_insert(error);
-        }
-        Ok(())
+        let written = pictures::write_page(self.plan, &shown, &drawn.drawing, &told, self.folder, reporter);
+        self.or_without("there is no report", written);
     }
 
     /// The mosaic in UTM, where it is known where on Earth the run was.
     fn write_earth_mosaic(&mut self, anchor: &Anchor) -> Result<()> {
         let path = self.folder.path().join(earth::UTM_MOSAIC);
-        match self.tracked.mapping.write_geotiff(&path, anchor) {
-            Ok(true) => self.folder.is_written(path),
-            Ok(false) => self.folder.remove(earth::UTM_MOSAIC)?,
-            Err(error) => self.fail("there is no picture of the ground on Earth", error),
+        match self.tracked.mapping.write_geotiff(&path, anchor)? {
+            true => self.folder.is_written(path),
+            false => self.folder.remove(earth::UTM_MOSAIC)?,
         }
         Ok(())
     }

@@ -5,14 +5,13 @@
 //! with the frames of ffmpeg. Neither supports 4:4:4 and lossless coding.
 
 use super::h264_parameters::SequenceParameters;
-use super::{DecodeResult, Decoded, Decoder, MakeDecoder, Refusal, Stamp};
+use super::{DecodeResult, Decoded, Decoder, MakeDecoder, Refusal, Stamp, StreamFacts};
 use crate::container::{Times, VideoTrack};
-use crate::frame::{Chroma, Color, ColorEncoding, Picture};
+use crate::frame::{Chroma, ColorEncoding, Picture};
 use crate::guard::guarded;
 use crate::limits;
 use crate::nal::NalFraming;
 use odograph::error::{Error, Result};
-use odograph::image::GrayImage;
 use rust_h264::nal::{NalUnit, NalUnitType};
 
 /// Maximum reorder depth, pictures (`MaxDpbFrames`, H.264 A.3.1).
@@ -22,7 +21,7 @@ const MAX_REORDER: usize = 16;
 /// of the stream.
 pub(crate) fn decoders(track: &VideoTrack, color: bool) -> Result<(Vec<MakeDecoder>, String)> {
     let set_up = SetUp::read(track, color)?;
-    let name = set_up.description();
+    let name = set_up.stream().description;
     let fast_may_do = set_up.parameters.as_ref().is_none_or(|p| {
         p.chroma_format == 1
             && p.bit_depth == 8
@@ -128,17 +127,14 @@ impl SetUp {
         Ok(())
     }
 
-    fn reorder_depth(&self) -> usize {
-        match &self.parameters {
-            Some(p) => p.reorder_depth.unwrap_or(if p.profile == 66 { 0 } else { MAX_REORDER }),
-            None => MAX_REORDER,
-        }
-    }
-
-    fn description(&self) -> String {
-        match &self.parameters {
-            Some(p) => format!("H.264 ({})", p.profile_name()),
-            None => "H.264".to_string(),
+    fn stream(&self) -> StreamFacts {
+        let Some(p) = &self.parameters else {
+            return StreamFacts { reorder_depth: MAX_REORDER, ..StreamFacts::named("H.264") };
+        };
+        StreamFacts {
+            description: format!("H.264 ({})", p.profile_name()),
+            reorder_depth: p.reorder_depth.unwrap_or(if p.profile == 66 { 0 } else { MAX_REORDER }),
+            frames_per_second: p.frames_per_second,
         }
     }
 
@@ -195,20 +191,20 @@ impl Decoder for Fast {
         match guarded("H.264", || self.decoder.decode(&self.annex_b))? {
             Ok(None) => Ok(()),
             Ok(Some(frame)) => {
-                let Some(gray) = GrayImage::from_samples(frame.width, frame.height, frame.y) else {
-                    return Err(Refusal::Damaged("a picture of the wrong size".into()));
-                };
-                let color = self.set_up.color.then(|| Chroma {
+                let chroma = self.set_up.color.then(|| Chroma {
                     width: frame.width / 2,
                     height: frame.height / 2,
                     blue: frame.u,
                     red: frame.v,
                     encoding: self.set_up.encoding(),
                 });
-                let color = color.filter(Chroma::is_whole).map(Color::Chroma);
+                let picture = Picture::from_planes((frame.width, frame.height), frame.y, chroma);
+                let Some(picture) = picture else {
+                    return Err(Refusal::Damaged("a picture of the wrong size".into()));
+                };
                 let starts_group = std::mem::take(&mut self.starts_group);
                 let order = self.decoder.last_poc();
-                out.push(self.set_up.decoded(Picture { gray, color }, stamp, order, starts_group));
+                out.push(self.set_up.decoded(picture, stamp, order, starts_group));
                 Ok(())
             }
             // After an error its state is inconsistent; damaged streams are decoded by the complete
@@ -217,16 +213,8 @@ impl Decoder for Fast {
         }
     }
 
-    fn reorder_depth(&self) -> usize {
-        self.set_up.reorder_depth()
-    }
-
-    fn frames_per_second(&self) -> Option<f64> {
-        self.set_up.parameters.as_ref()?.frames_per_second
-    }
-
-    fn description(&self) -> String {
-        self.set_up.description()
+    fn stream(&self) -> StreamFacts {
+        self.set_up.stream()
     }
 }
 
@@ -263,23 +251,18 @@ impl Complete {
         let shift = frame.bit_depth.saturating_sub(8);
         let plane =
             |samples: Vec<u8>| if shift == 0 { samples } else { narrow_little_endian(&samples, shift) };
-        let Some(gray) = GrayImage::from_samples(frame.width as usize, frame.height as usize, plane(frame.y))
-        else {
-            return;
-        };
         let gray_only = self.set_up.parameters.as_ref().is_some_and(|p| p.chroma_format == 0);
-        let color = (self.set_up.color && !gray_only)
-            .then(|| Chroma {
-                width: chroma_width,
-                height: chroma_height,
-                blue: plane(frame.u),
-                red: plane(frame.v),
-                encoding: self.set_up.encoding(),
-            })
-            .filter(Chroma::is_whole)
-            .map(Color::Chroma);
+        let chroma = (self.set_up.color && !gray_only).then(|| Chroma {
+            width: chroma_width,
+            height: chroma_height,
+            blue: plane(frame.u),
+            red: plane(frame.v),
+            encoding: self.set_up.encoding(),
+        });
+        let size = (frame.width as usize, frame.height as usize);
+        let Some(picture) = Picture::from_planes(size, plane(frame.y), chroma) else { return };
         let order = frame.pic_order_cnt;
-        out.push(self.set_up.decoded(Picture { gray, color }, stamp, order, starts_group));
+        out.push(self.set_up.decoded(picture, stamp, order, starts_group));
     }
 }
 
@@ -319,16 +302,8 @@ impl Decoder for Complete {
         Ok(())
     }
 
-    fn reorder_depth(&self) -> usize {
-        self.set_up.reorder_depth()
-    }
-
-    fn frames_per_second(&self) -> Option<f64> {
-        self.set_up.parameters.as_ref()?.frames_per_second
-    }
-
-    fn description(&self) -> String {
-        self.set_up.description()
+    fn stream(&self) -> StreamFacts {
+        self.set_up.stream()
     }
 }
 

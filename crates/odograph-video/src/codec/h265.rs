@@ -1,15 +1,14 @@
 //! H.265 (HEVC) with `rust_h265`: 8 to 12 bits, 4:2:0 and 4:4:4.
 
 use super::h265_parameters::HevcSequenceParameters;
-use super::{DecodeResult, Decoded, Decoder, MakeDecoder, Refusal, Stamp};
+use super::{DecodeResult, Decoded, Decoder, MakeDecoder, Refusal, Stamp, StreamFacts};
 use crate::container::bytes::Bytes;
 use crate::container::{Times, VideoTrack};
-use crate::frame::{Chroma, Color, ColorEncoding, Picture};
+use crate::frame::{Chroma, ColorEncoding, Picture};
 use crate::guard::guarded;
 use crate::limits;
 use crate::nal::NalFraming;
 use odograph::error::{Error, Result};
-use odograph::image::GrayImage;
 use rust_h265::{DecodeError, PixelData};
 
 /// Maximum reorder depth, pictures (H.265 A.4.2).
@@ -83,26 +82,24 @@ impl Hevc {
     fn push(&self, frame: rust_h265::Frame, stamp: Stamp, starts_group: bool, out: &mut Vec<Decoded>) {
         let (width, height) = (frame.width as usize, frame.height as usize);
         let shift = frame.bit_depth.saturating_sub(8);
-        let Some(gray) = GrayImage::from_samples(width, height, plane(frame.y, shift)) else { return };
         let (across, down) = match frame.chroma_format_idc {
             1 => (2, 2),
             2 => (2, 1),
             _ => (1, 1),
         };
         let stream = self.parameters.as_ref().map(|p| p.encoding);
-        let color = (self.color && frame.chroma_format_idc != 0)
-            .then(|| Chroma {
-                width: width.div_ceil(across),
-                height: height.div_ceil(down),
-                blue: plane(frame.u, shift),
-                red: plane(frame.v, shift),
-                encoding: self.encoding.or(stream).unwrap_or_default(),
-            })
-            .filter(Chroma::is_whole)
-            .map(Color::Chroma);
+        let chroma = (self.color && frame.chroma_format_idc != 0).then(|| Chroma {
+            width: width.div_ceil(across),
+            height: height.div_ceil(down),
+            blue: plane(frame.u, shift),
+            red: plane(frame.v, shift),
+            encoding: self.encoding.or(stream).unwrap_or_default(),
+        });
+        let luminance = plane(frame.y, shift);
+        let Some(picture) = Picture::from_planes((width, height), luminance, chroma) else { return };
         let order =
             if self.order_by_time { (stamp.time_s * 1e6) as i64 } else { i64::from(frame.pic_order_cnt) };
-        out.push(Decoded { picture: Picture { gray, color }, stamp, order, starts_group });
+        out.push(Decoded { picture, stamp, order, starts_group });
     }
 }
 
@@ -144,19 +141,13 @@ impl Decoder for Hevc {
         refusal.map_or(Ok(()), Err)
     }
 
-    fn reorder_depth(&self) -> usize {
-        self.parameters.as_ref().map_or(MAX_REORDER, |p| p.reorder_depth)
-    }
-
-    fn frames_per_second(&self) -> Option<f64> {
-        self.parameters.as_ref().and_then(|p| p.frames_per_second)
-    }
-
-    fn description(&self) -> String {
-        match &self.parameters {
-            Some(p) => format!("H.265 ({})", p.profile_name()),
-            None => "H.265".to_string(),
-        }
+    fn stream(&self) -> StreamFacts {
+        let Some(p) = &self.parameters else {
+            return StreamFacts { reorder_depth: MAX_REORDER, ..StreamFacts::named("H.265") };
+        };
+        let description = format!("H.265 ({})", p.profile_name());
+        let HevcSequenceParameters { reorder_depth, frames_per_second, .. } = *p;
+        StreamFacts { description, reorder_depth, frames_per_second }
     }
 }
 

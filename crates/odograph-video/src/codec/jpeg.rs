@@ -1,6 +1,6 @@
 //! JPEG (ITU-T T.81): still images and the frames of Motion JPEG.
 
-use super::{DecodeResult, Decoded, Decoder, Refusal, Stamp};
+use super::{DecodeResult, Decoded, Decoder, Refusal, Stamp, StreamFacts};
 use crate::frame::{Chroma, Color, ColorEncoding, Deferred, Matrix, Picture, picture_from_rgb};
 use crate::guard::guarded;
 use crate::limits;
@@ -94,8 +94,8 @@ impl Decoder for MotionJpeg {
         Ok(())
     }
 
-    fn description(&self) -> String {
-        "Motion JPEG".to_string()
+    fn stream(&self) -> StreamFacts {
+        StreamFacts::named("Motion JPEG")
     }
 }
 

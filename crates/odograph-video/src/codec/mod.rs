@@ -69,19 +69,27 @@ pub(crate) trait Decoder: Send {
         Ok(())
     }
 
-    /// Reorder depth: maximum number of pictures that precede a picture in decoding order and
-    /// follow it in presentation order.
-    fn reorder_depth(&self) -> usize {
-        0
-    }
+    /// What is known of the stream so far.
+    fn stream(&self) -> StreamFacts;
+}
 
+/// What is known of a stream.
+#[derive(Debug, Default)]
+pub(crate) struct StreamFacts {
+    /// Human-readable description, e.g. `H.264 (High)`.
+    pub description: String,
+    /// Maximum number of pictures that precede a picture in decoding order and follow it in
+    /// presentation order.
+    pub reorder_depth: usize,
     /// Frame rate, frames per second; `None` if the stream does not have it.
-    fn frames_per_second(&self) -> Option<f64> {
-        None
-    }
+    pub frames_per_second: Option<f64>,
+}
 
-    /// Human-readable description of the stream, e.g. `H.264 (High)`.
-    fn description(&self) -> String;
+impl StreamFacts {
+    /// Of a stream of pictures in presentation order that says nothing about itself.
+    fn named(description: &str) -> Self {
+        Self { description: description.to_owned(), ..Self::default() }
+    }
 }
 
 /// Constructors of the decoders for a track, the fastest first, and a human-readable description of

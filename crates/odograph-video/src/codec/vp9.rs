@@ -1,12 +1,11 @@
 //! VP9 with `rusty_vp9`: all profiles, 8 to 12 bits.
 
-use super::{DecodeResult, Decoded, Decoder, Refusal, Stamp, narrow_little_endian};
+use super::{DecodeResult, Decoded, Decoder, Refusal, Stamp, StreamFacts, narrow_little_endian};
 use crate::container::VideoTrack;
-use crate::frame::{Chroma, Color, ColorEncoding, Matrix, Picture};
+use crate::frame::{Chroma, ColorEncoding, Matrix, Picture};
 use crate::guard::guarded;
 use crate::limits;
 use odograph::error::Error;
-use odograph::image::GrayImage;
 use rusty_vp9::{BitReader, Vp9Decoder, parse_uncompressed_header};
 
 /// Decodes a packet to at most one picture; in VP9 the presentation order is the order of the
@@ -70,36 +69,27 @@ impl Decoder for Vp9 {
                 shift => narrow_little_endian(&p, shift),
             });
             let (width, height) = (frame.width as usize, frame.height as usize);
-            let gray = planes
-                .next()
-                .and_then(|luminance| GrayImage::from_samples(width, height, luminance))
-                .ok_or_else(|| {
-                    Refusal::Broken(Error::input("the VP9 decoder gave a picture of the wrong size"))
-                })?;
-            let color = match (planes.next(), planes.next()) {
+            let luminance = planes.next().unwrap_or_default();
+            let chroma = match (planes.next(), planes.next()) {
                 (Some(blue), Some(red)) if self.color => Some(Chroma {
                     width: (width + frame.subsampling_x as usize) >> frame.subsampling_x,
                     height: (height + frame.subsampling_y as usize) >> frame.subsampling_y,
                     blue,
                     red,
                     encoding: self.encoding.unwrap_or(self.stream_encoding),
-                })
-                .filter(Chroma::is_whole)
-                .map(Color::Chroma),
+                }),
                 _ => None,
             };
+            let picture = Picture::from_planes((width, height), luminance, chroma).ok_or_else(|| {
+                Refusal::Broken(Error::input("the VP9 decoder gave a picture of the wrong size"))
+            })?;
             self.number += 1;
-            out.push(Decoded {
-                picture: Picture { gray, color },
-                stamp,
-                order: self.number,
-                starts_group: false,
-            });
+            out.push(Decoded { picture, stamp, order: self.number, starts_group: false });
         }
         Ok(())
     }
 
-    fn description(&self) -> String {
-        "VP9".to_string()
+    fn stream(&self) -> StreamFacts {
+        StreamFacts::named("VP9")
     }
 }

@@ -49,15 +49,6 @@ impl TrackRecord {
 
     /// Converts a frame. `first_time_s` is the time of the run's first frame, seconds.
     pub fn new(frame: &FrameEstimate, first_time_s: f64, latency_ms: Option<f64>) -> Self {
-        let state = match frame.status {
-            TrackStatus::Tracked => 0.0,
-            TrackStatus::Lost { reason: LossReason::Bare } => 1.0,
-            TrackStatus::Lost { reason: LossReason::Jump } => 2.0,
-            TrackStatus::Lost { reason: LossReason::Dark } => 4.0,
-            TrackStatus::Lost { reason: LossReason::Blur } => 5.0,
-            TrackStatus::Lost { reason: LossReason::Shadow } => 6.0,
-            TrackStatus::Lost { .. } => 3.0,
-        };
         let mut values = [f32::NAN; Self::LENGTH];
         if let Some(known) = &frame.estimate {
             let (pose, covariance) = (&known.pose, &known.covariance);
@@ -74,7 +65,10 @@ impl TrackRecord {
             values[1..9].iter_mut().zip(numbers).for_each(|(value, number)| *value = number as f32);
         }
         values[0] = (frame.time_s - first_time_s) as f32;
-        values[9] = state;
+        values[9] = match frame.status {
+            TrackStatus::Tracked => 0.0,
+            TrackStatus::Lost { reason } => state_of(reason),
+        };
         values[10] = frame.segment as f32;
         values[11] = frame.tracks as f32;
         values[12] = frame.inliers as f32;
@@ -83,7 +77,31 @@ impl TrackRecord {
     }
 }
 
+/// State of a frame that was lost for a reason without a number of its own.
+const OTHER_LOSS: f32 = 3.0;
+
+/// The state of a frame that was lost for this reason.
+fn state_of(reason: LossReason) -> f32 {
+    match reason {
+        LossReason::Bare => 1.0,
+        LossReason::Jump => 2.0,
+        LossReason::Dark => 4.0,
+        LossReason::Blur => 5.0,
+        LossReason::Shadow => 6.0,
+        LossReason::NotPlanar => OTHER_LOSS,
+    }
+}
+
 impl TrackRecord {
+    /// The record of a lost frame, of which nothing else is known, at this time since the first
+    /// frame, seconds.
+    pub fn lost(time_s: f64, reason: Option<LossReason>) -> Self {
+        let mut values = [f32::NAN; Self::LENGTH];
+        values[0] = time_s as f32;
+        values[9] = reason.map_or(f32::NAN, state_of);
+        Self { values }
+    }
+
     /// Returns the record with the number of its keyframe set, counted from 0 in this run.
     pub fn measured_against(mut self, keyframe: Option<u64>) -> Self {
         self.values[14] = keyframe.map_or(f32::NAN, |number| number as f32);
@@ -192,13 +210,9 @@ impl CsvColumns {
         }
         let state = match cells[self.status] {
             "tracked" => 0.0,
-            "lost:bare" => 1.0,
-            "lost:jump" => 2.0,
-            "lost:dark" => 4.0,
-            "lost:blur" => 5.0,
-            "lost:shadow" => 6.0,
-            _ => 3.0,
+            status => status.strip_prefix("lost:").and_then(LossReason::named).map_or(OTHER_LOSS, state_of),
         };
+        let state = f64::from(state);
         Ok((numbers, state))
     }
 }

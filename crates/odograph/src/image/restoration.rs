@@ -5,19 +5,25 @@ use super::GrayImage;
 use super::impulse_noise::{has_impulse_noise, remove_impulse_noise};
 use super::interlacing::{Interlacing, even_field};
 use super::row_noise::{COLUMNS_REACH, ROWS_REACH, RowNoise, remove_row_noise};
+use serde::Serialize;
 
-/// What is wrong with the images of a recording.
-#[derive(Debug, Clone, Copy, Default, PartialEq, Eq)]
+/// What is wrong with the images of a recording. What is not there is left out of a file.
+#[derive(Debug, Clone, Copy, Default, PartialEq, Eq, Serialize)]
 pub struct ImageDefects {
     /// Even and odd rows are of different times; the even ones are used.
+    #[serde(skip_serializing_if = "std::ops::Not::not")]
     pub interlaced: bool,
     /// Rows are brighter or darker at random.
+    #[serde(skip_serializing_if = "std::ops::Not::not")]
     pub row_noise: bool,
     /// Columns are.
+    #[serde(skip_serializing_if = "std::ops::Not::not")]
     pub column_noise: bool,
     /// Single pixels are white or black at random.
+    #[serde(skip_serializing_if = "std::ops::Not::not")]
     pub impulse_noise: bool,
     /// Single pixels are mostly noise; images of a coarser resolution are tracked.
+    #[serde(skip_serializing_if = "std::ops::Not::not")]
     pub pixel_noise: bool,
 }
 

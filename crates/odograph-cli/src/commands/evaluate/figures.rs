@@ -1,6 +1,7 @@
 //! The result as JSON for programs: metres, radians, seconds; units are in the names.
 
-use odograph::error::{Error, Result};
+use crate::console;
+use odograph::error::Result;
 use odograph::evaluation::{Delta, Evaluation, EvaluationOptions, SegmentDrift, Statistics};
 use serde::Serialize;
 use std::path::Path;
@@ -49,8 +50,8 @@ struct RelativeFigures<'a> {
     errors: Errors<'a>,
 }
 
-/// The whole document, ending in a line break.
-pub fn json(estimate: &Path, truth: &Path, options: &EvaluationOptions, e: &Evaluation) -> Result<String> {
+/// Prints the whole document.
+pub fn print_json(estimate: &Path, truth: &Path, options: &EvaluationOptions, e: &Evaluation) -> Result<()> {
     let movement = &e.alignment.truth_from_estimate;
     let relative = e.relative.iter().map(|r| {
         let (delta, delta_unit) = match r.delta {
@@ -84,8 +85,5 @@ pub fn json(estimate: &Path, truth: &Path, options: &EvaluationOptions, e: &Eval
         relative: relative.collect(),
         drift: &e.drift,
     };
-    let mut text = serde_json::to_string_pretty(&figures)
-        .map_err(|error| Error::output(format!("the result cannot be written as JSON: {error}")))?;
-    text.push('\n');
-    Ok(text)
+    console::print_json("the result", &figures)
 }

@@ -209,14 +209,14 @@ fn print_result(
     evaluation: &Evaluation,
     over_ground_m: Option<[f64; 2]>,
 ) -> Result<()> {
-    let text = if arguments.json {
-        figures::json(&arguments.estimate, &arguments.truth, options, evaluation)?
-    } else if arguments.quiet {
-        return Ok(());
-    } else {
-        table::text(&arguments.estimate, &arguments.truth, options, evaluation, over_ground_m)
-    };
-    console::print(&text)
+    let (estimate, truth) = (&arguments.estimate, &arguments.truth);
+    if arguments.json {
+        return figures::print_json(estimate, truth, options, evaluation);
+    }
+    match arguments.quiet {
+        true => Ok(()),
+        false => console::print(&table::text(estimate, truth, options, evaluation, over_ground_m)),
+    }
 }
 
 /// Length of a path over the ground (x and y), metres: what `odograph run` calls its distance.

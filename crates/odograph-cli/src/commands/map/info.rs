@@ -1,12 +1,14 @@
 //! `odograph map info`: what a map holds.
 
 use super::root;
+use crate::commands::run::losses;
 use crate::{Outcome, console};
 use odograph::camera::{Camera, Rig};
-use odograph::error::{Error, Result};
+use odograph::error::Result;
 use odograph::formats::decimal::Rounded;
 use odograph::ground_map::GroundMap;
 use odograph::keyframe::{EdgeKind, KeyframeId};
+use odograph::trajectory::{LossReason, LostStretch};
 use odograph_map::{MapClaim, MapFile, MapLandmark, PathFrame, SessionOrigin, connected_stretches};
 use serde::Serialize;
 use std::collections::BTreeMap;
@@ -86,6 +88,9 @@ struct SessionInfo {
     /// Fraction of its images that does not show the ground, 0 to 1; left out where there is none.
     #[serde(skip_serializing_if = "Option::is_none")]
     masked: Option<f64>,
+    /// When its camera was lost, and why; left out where it never was.
+    #[serde(skip_serializing_if = "Vec::is_empty")]
+    losses: Vec<LossInfo>,
     start_s: Option<f64>,
     end_s: Option<f64>,
     /// The robot that recorded it, if it has a name.
@@ -98,6 +103,15 @@ struct SessionInfo {
     rig: Option<Rig>,
 }
 
+/// An interval without a pose.
+#[derive(Debug, Serialize)]
+struct LossInfo {
+    start_s: f64,
+    end_s: f64,
+    frames: u64,
+    reasons: Vec<LossReason>,
+}
+
 /// The name of a session that is the same in every map: its keyframes are numbered in it.
 #[derive(Debug, Serialize)]
 struct OriginInfo {
@@ -105,6 +119,19 @@ struct OriginInfo {
     key: String,
     first_number: Option<u64>,
     last_number: Option<u64>,
+}
+
+impl LossInfo {
+    fn of(stretch: LostStretch) -> Self {
+        let LostStretch { from_s, to_s, frames, reasons } = stretch;
+        Self { start_s: from_s, end_s: to_s, frames, reasons }
+    }
+
+    /// With times since this one.
+    fn stretch(&self, begin_s: f64) -> LostStretch {
+        let (from_s, to_s) = (self.start_s - begin_s, self.end_s - begin_s);
+        LostStretch { from_s, to_s, frames: self.frames, reasons: self.reasons.clone() }
+    }
 }
 
 #[derive(Debug, Serialize)]
@@ -126,10 +153,7 @@ pub fn info(arguments: &MapInfoArguments) -> Result<Outcome> {
     }
     let info = gathered(&file)?;
     if arguments.json {
-        let text = serde_json::to_string_pretty(&info).map_err(|error| {
-            Error::output(format!("the facts about the map cannot be written as JSON: {error}"))
-        })?;
-        console::print(&(text + "\n"))?;
+        console::print_json("the facts about the map", &info)?;
     } else {
         console::print(&described(&info, arguments.check))?;
     }
@@ -166,6 +190,7 @@ fn gathered(file: &MapFile) -> Result<MapInfo> {
                 frames: path.len(),
                 path_m: over_ground_m(connected_stretches(&path)),
                 unfinished: unfinished.contains(&session.id),
+                losses: file.losses_of(session.id)?.into_iter().map(LossInfo::of).collect(),
                 masked: map.masks.get(&session.id).map(|mask| mask.share()),
                 start_s: path.first().map(|frame| frame.time_s),
                 end_s: path.last().map(|frame| frame.time_s),
@@ -334,6 +359,13 @@ fn describe_session(session: &SessionInfo, info: &MapInfo, text: &mut String) {
     );
     if session.unfinished {
         let _ = writeln!(text, "           {}", unfinished(info));
+    }
+    // Times are since the first frame, as a run prints them.
+    let begin_s = session.losses.iter().map(|loss| loss.start_s).chain(session.start_s).reduce(f64::min);
+    let lost: Vec<LostStretch> =
+        session.losses.iter().map(|loss| loss.stretch(begin_s.unwrap_or(0.0))).collect();
+    for line in losses(&lost, "--json lists") {
+        let _ = writeln!(text, "           {line}");
     }
     if let Some(share) = session.masked {
         let _ = writeln!(

@@ -55,14 +55,8 @@ pub fn merge(arguments: &MergeArguments) -> Result<Outcome> {
     let [first, others @ ..] = arguments.maps.as_slice() else {
         return Err(Error::usage("give two maps or more to join"));
     };
-    // After a failure an existing file is unchanged, and no partial map is left.
-    let beside = files::beside(&arguments.output);
-    MapFile::remove(&beside)?;
-    let joined = joined(first, others, &beside, arguments);
-    let summary = joined.inspect_err(|_| {
-        let _ = MapFile::remove(&beside);
-    })?;
-    MapFile::replace(&claim, &beside)?;
+    let summary =
+        super::replaced(&claim, &arguments.output, |beside| joined(first, others, beside, arguments))?;
     if !arguments.quiet {
         console::print(&format!("{summary}Wrote {}\n", console::name(&arguments.output)))?;
     }
@@ -143,52 +137,9 @@ fn join(mut file: MapFile, path: &Path, arguments: &MergeArguments) -> Result<(M
     let mosaic_m = other.mosaic()?.map(|layer| layer.resolution_m);
     let map = file.map()?;
     let mut added = other.map()?;
-    let cameras = file.mounted_cameras()?;
-    let is_here = |there: &MountedCamera| cameras.iter().any(|here| here.camera == there.camera);
-    if !other.mounted_cameras()?.iter().all(is_here) {
-        return Err(Error::input(format!(
-            "{} was made with another camera than {}; only maps of the same cameras, each calibrated once, can be joined",
-            path.display(),
-            arguments.maps[0].display()
-        )));
-    }
-    let there = sessions_there(&mut file, &map, &mut other, &added)?;
-    let all = other.sessions()?;
-    if !there.is_empty() && there.len() == all.len() {
-        return Err(Error::input(format!(
-            "every session of {} is in {} already; there is nothing to join",
-            path.display(),
-            before_it(arguments)
-        )));
-    }
-    if !there.is_empty() && !arguments.quiet {
-        let sources: Vec<String> = there.iter().map(|session| console::source(&session.source)).collect();
-        console::note(&format!(
-            "{} of {} is in {} already, and is left out",
-            sources.join(", "),
-            console::name(path),
-            before_it(arguments)
-        ));
-    }
-    added.keyframes.retain(|keyframe| there.iter().all(|session| session.id != keyframe.session));
-    // The others get the next free numbers.
-    let mut sessions = Vec::new();
-    for session in all.into_iter().filter(|session| !there.contains(session)) {
-        sessions.push((session.id, begun(&mut file, &session, &added)?));
-    }
-    let mut mounted = std::mem::take(&mut added.other_cameras);
-    for (old, new) in &sessions {
-        added.other_cameras.extend(mounted.remove(old).map(|other| (*new, other)));
-    }
-    for keyframe in &mut added.keyframes {
-        let new = sessions.iter().find(|(old, _)| *old == keyframe.session);
-        keyframe.session = new.map_or(keyframe.session, |(_, new)| *new);
-    }
-    for (old, mask) in std::mem::take(&mut added.masks) {
-        let Some((_, new)) = sessions.iter().find(|(session, _)| *session == old).copied() else { continue };
-        file.set_mask(new, Some(&mask))?;
-        added.masks.insert(new, mask);
-    }
+    let new = new_sessions((&mut file, &map), (&mut other, &added), arguments)?;
+    added.keyframes.retain(|keyframe| new.iter().any(|session| session.id == keyframe.session));
+    let sessions = renumbered(&mut file, new, &mut added)?;
     let before = added.keyframes.clone();
     let height_m = other.rig().height_m;
     let places = KnownPlaces::new(&map);
@@ -230,19 +181,76 @@ fn join(mut file: MapFile, path: &Path, arguments: &MergeArguments) -> Result<(M
         file.add_markers(family, size_m, &[placed])?;
     }
     for (old, new) in sessions {
-        let moves: Vec<KeyframeMove> = before
-            .iter()
-            .filter(|keyframe| keyframe.session == new)
-            .filter_map(|keyframe| {
-                let id = KeyframeId(beginning.0 + keyframe.id.0);
-                let now = keyframes.iter().find(|now| now.id == id)?;
-                let (segment, time_s) = (keyframe.segment, keyframe.time_s);
-                Some(KeyframeMove { segment, time_s, before: keyframe.pose, after: now.pose })
-            })
-            .collect();
+        let own = before.iter().filter(|keyframe| keyframe.session == new);
+        let moved = |keyframe: &MapKeyframe| {
+            let id = KeyframeId(beginning.0 + keyframe.id.0);
+            let now = keyframes.iter().find(|now| now.id == id)?;
+            let (segment, time_s) = (keyframe.segment, keyframe.time_s);
+            Some(KeyframeMove { segment, time_s, before: keyframe.pose, after: now.pose })
+        };
+        let moves: Vec<KeyframeMove> = own.filter_map(moved).collect();
         file.set_path(new, &corrected_path(&other.path_of(old)?, &moves))?;
+        file.set_losses(new, &other.losses_of(old)?)?;
     }
     Ok((file, Added { merged, mosaic_m, warning }))
+}
+
+/// The sessions of another map that this one has not. Fails if there are none, or if the maps are
+/// of other cameras.
+fn new_sessions(
+    (file, map): (&mut MapFile, &GroundMap),
+    (other, added): (&mut MapFile, &GroundMap),
+    arguments: &MergeArguments,
+) -> Result<Vec<Session>> {
+    let cameras = file.mounted_cameras()?;
+    let is_here = |there: &MountedCamera| cameras.iter().any(|here| here.camera == there.camera);
+    if !other.mounted_cameras()?.iter().all(is_here) {
+        return Err(Error::input(format!(
+            "{} was made with another camera than {}; only maps of the same cameras, each calibrated once, can be joined",
+            other.path().display(),
+            arguments.maps[0].display()
+        )));
+    }
+    let there = sessions_there(file, map, other, added)?;
+    let all = other.sessions()?;
+    let path = other.path();
+    if !there.is_empty() && there.len() == all.len() {
+        return Err(Error::input(format!(
+            "every session of {} is in {} already; there is nothing to join",
+            path.display(),
+            before_it(arguments)
+        )));
+    }
+    if !there.is_empty() && !arguments.quiet {
+        let sources: Vec<String> = there.iter().map(|session| console::source(&session.source)).collect();
+        console::note(&format!(
+            "{} of {} is in {} already, and is left out",
+            sources.join(", "),
+            console::name(path),
+            before_it(arguments)
+        ));
+    }
+    Ok(all.into_iter().filter(|session| !there.contains(session)).collect())
+}
+
+/// Begins these sessions of another map, which get the next free numbers, and renumbers what the
+/// map has of them. Returns the old and the new numbers.
+fn renumbered(file: &mut MapFile, sessions: Vec<Session>, added: &mut GroundMap) -> Result<Vec<(u32, u32)>> {
+    let begin = |session: Session| Ok((session.id, begun(file, &session, added)?));
+    let numbers = sessions.into_iter().map(begin).collect::<Result<Vec<(u32, u32)>>>()?;
+    let new_of = |old: u32| numbers.iter().find(|(number, _)| *number == old).map(|(_, new)| *new);
+    for (old, mounted) in std::mem::take(&mut added.other_cameras) {
+        added.other_cameras.extend(new_of(old).map(|new| (new, mounted)));
+    }
+    for keyframe in &mut added.keyframes {
+        keyframe.session = new_of(keyframe.session).unwrap_or(keyframe.session);
+    }
+    for (old, mask) in std::mem::take(&mut added.masks) {
+        let Some(new) = new_of(old) else { continue };
+        file.set_mask(new, Some(&mask))?;
+        added.masks.insert(new, mask);
+    }
+    Ok(numbers)
 }
 
 /// Begins a session of another map, with its camera and mount, and as its robot's where the map

@@ -8,8 +8,10 @@ mod optimize;
 mod repair;
 mod thin;
 
-use crate::Outcome;
+use crate::{Outcome, files};
 use odograph::error::Result;
+use odograph_map::{MapClaim, MapFile};
+use std::path::Path;
 
 /// Show, join, export, optimise, thin or repair a map.
 #[derive(Debug, clap::Args)]
@@ -41,6 +43,18 @@ pub fn map(arguments: MapArguments) -> Result<Outcome> {
         MapCommand::Thin(arguments) => thin::thin(&arguments),
         MapCommand::Repair(arguments) => repair::repair(&arguments),
     }
+}
+
+/// Writes a map beside its place, then in place of what is there: after a failure an existing file
+/// is unchanged, and no partial map is left.
+fn replaced<T>(claim: &MapClaim, place: &Path, write: impl FnOnce(&Path) -> Result<T>) -> Result<T> {
+    let beside = files::beside(place);
+    MapFile::remove(&beside)?;
+    let written = write(&beside).inspect_err(|_| {
+        let _ = MapFile::remove(&beside);
+    })?;
+    MapFile::replace(claim, &beside)?;
+    Ok(written)
 }
 
 /// The root of a node of a forest, whose roots are their own parents; halves the way to it.

@@ -2,7 +2,6 @@
 
 use super::export;
 use crate::{Outcome, console, files, interrupt, lengths};
-use indicatif::{ProgressBar, ProgressStyle};
 use odograph::error::{Error, Result};
 use odograph_map::{MapFile, MosaicLayer};
 use std::path::PathBuf;
@@ -84,10 +83,7 @@ const COARSEST_M: f64 = 1000.0;
 /// Renders the mosaic of a map and stores it there, with a progress bar. Fails if it is
 /// interrupted, or if no keyframe shows the ground.
 pub fn rendered(file: &mut MapFile, resolution_m: Option<f64>, quiet: bool) -> Result<MosaicLayer> {
-    let bar = if quiet { ProgressBar::hidden() } else { ProgressBar::no_length() };
-    if let Ok(style) = ProgressStyle::with_template("{bar:40} {pos}/{len} patches, {eta} left") {
-        bar.set_style(style);
-    }
+    let bar = console::bar("{bar:40} {pos}/{len} patches, {eta} left", quiet);
     let rendered = file.render_mosaic(resolution_m, &mut |left| {
         bar.inc(1);
         bar.set_length(bar.position() + left as u64);

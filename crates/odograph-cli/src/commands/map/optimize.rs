@@ -47,15 +47,10 @@ pub fn optimize(arguments: &OptimizeArguments) -> Result<Outcome> {
     };
     files::check_output_file(output, arguments.force)?;
     let _made = files::MadeFolders::of_file(output)?;
-    let claim = MapClaim::on(output)?;
-    let beside = files::beside(output);
-    MapFile::remove(&beside)?;
-    MapFile::open_read_only(&arguments.map)?.copy_to(&beside)?;
-    let outcome = in_place(&beside, arguments).inspect_err(|_| {
-        let _ = MapFile::remove(&beside);
-    })?;
-    MapFile::replace(&claim, &beside)?;
-    Ok(outcome)
+    super::replaced(&MapClaim::on(output)?, output, |beside| {
+        MapFile::open_read_only(&arguments.map)?.copy_to(beside)?;
+        in_place(beside, arguments)
+    })
 }
 
 fn in_place(path: &Path, arguments: &OptimizeArguments) -> Result<Outcome> {

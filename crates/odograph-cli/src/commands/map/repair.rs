@@ -82,17 +82,10 @@ pub fn repair(arguments: &RepairArguments) -> Result<Outcome> {
     }
     let _made = files::MadeFolders::of_file(&output)?;
     let claim = MapClaim::on(&output).map_err(|error| elsewhere(error, arguments.output.is_none()))?;
-    // An existing file is unchanged after a failure, and no partial map is left.
-    let beside = files::beside(&output);
-    MapFile::remove(&beside)?;
-    let said = match arguments.drop_unfinished {
-        true => without(damaged, &unfinished, &beside),
-        false => saved(damaged, &beside, arguments.quiet),
-    };
-    let said = said.inspect_err(|_| {
-        let _ = MapFile::remove(&beside);
+    let said = super::replaced(&claim, &output, |beside| match arguments.drop_unfinished {
+        true => without(damaged, &unfinished, beside),
+        false => saved(damaged, beside, arguments.quiet),
     })?;
-    MapFile::replace(&claim, &beside)?;
     if !arguments.quiet {
         console::print(&format!("{said}\n{}\n", console::name(&output)))?;
     }

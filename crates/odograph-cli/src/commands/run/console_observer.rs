@@ -1,7 +1,7 @@
 //! Progress of a run on the console.
 
 use crate::{console, interrupt};
-use indicatif::{ProgressBar, ProgressState, ProgressStyle};
+use indicatif::{ProgressBar, ProgressState};
 use odograph::camera::Camera;
 use odograph::formats::decimal::Rounded;
 use odograph::trajectory::{FrameEstimate, TrackStatus};
@@ -258,18 +258,15 @@ fn camera_line(camera: &Camera) -> String {
 /// A bar if the number of frames is known, otherwise a count, and why the recording is tracked
 /// again; nothing if standard error is not a terminal. A line of a terminal holds it.
 fn progress(frames: Option<u64>, again: &str) -> ProgressBar {
-    let bar = frames.map_or_else(ProgressBar::new_spinner, ProgressBar::new);
-    let template = match (frames, again.is_empty()) {
-        (Some(_), true) => "{bar:40} {pos}/{len} frames, {rate}, {eta} left",
-        (Some(_), false) => "{bar:20} {pos}/{len}, {eta} left{msg}",
-        (None, _) => "{spinner} {pos} frames, {rate}{msg}",
+    let templates = match again.is_empty() {
+        true => ["{bar:40} {pos}/{len} frames, {rate}, {eta} left", "{spinner} {pos} frames, {rate}{msg}"],
+        false => ["{bar:20} {pos}/{len}, {eta} left{msg}", "{spinner} {pos} frames, {rate}{msg}"],
     };
-    if let Ok(style) = ProgressStyle::with_template(template) {
-        let rate = |state: &ProgressState, text: &mut dyn fmt::Write| {
-            let _ = text.write_str(&rate_text(state.per_sec()));
-        };
-        bar.set_style(style.with_key("rate", rate));
-    }
+    let bar = console::progress_as(templates, frames, false);
+    let rate = |state: &ProgressState, text: &mut dyn fmt::Write| {
+        let _ = text.write_str(&rate_text(state.per_sec()));
+    };
+    bar.set_style(bar.style().with_key("rate", rate));
     bar.with_message(again.to_owned())
 }
 

@@ -23,7 +23,7 @@ use odograph_session::batch::Shard;
 use odograph_session::{MapUse, RunBuilder, RunEnd, SourcePlan};
 pub use sensors::SensorArguments;
 use std::path::{Path, PathBuf};
-pub use summary::{print_summary, tell_warnings};
+pub use summary::{losses, print_summary, tell_warnings};
 
 /// Follow a recording: trajectory, map, mosaic of the ground, report.
 #[derive(Debug, Clone, clap::Args)]

@@ -2,7 +2,8 @@
 
 use crate::console;
 use odograph::error::Result;
-use odograph_report::{LostStretch, lost_stretches};
+use odograph::trajectory::LostStretch;
+use odograph_report::{because, lost_stretches};
 use odograph_session::{RunEnd, RunOutcome};
 
 /// Prints the result and where to look.
@@ -18,7 +19,8 @@ pub fn print_summary(outcome: &RunOutcome, quiet: bool, json: bool) -> Result<()
         return Ok(());
     }
     tell_warnings(outcome, "");
-    losses(&lost_stretches(&outcome.trajectory));
+    let lost = losses(&lost_stretches(&outcome.trajectory), "the report lists");
+    lost.iter().for_each(|line| console::note(line));
     if let Some(interruption) = statistics.stopped_early() {
         console::warn(&format!("{interruption}; what there is up to there has been written"));
     }
@@ -54,17 +56,12 @@ pub fn tell_warnings(outcome: &RunOutcome, place: &str) {
 /// Number of losses that are listed one by one.
 const MAX_LOSSES: usize = 5;
 
-/// Tells when and why tracking was lost.
-fn losses(stretches: &[LostStretch]) {
-    for stretch in stretches.iter().take(MAX_LOSSES) {
-        console::note(&format!(
-            "lost from {:.2} to {:.2} s: {}",
-            stretch.from_s,
-            stretch.to_s,
-            stretch.because()
-        ));
-    }
-    if stretches.len() > MAX_LOSSES {
-        console::note(&format!("and {} more losses, which the report lists", stretches.len() - MAX_LOSSES));
-    }
+/// Says when and why tracking was lost, in a line each; `elsewhere` says where the rest is listed.
+pub fn losses(stretches: &[LostStretch], elsewhere: &str) -> Vec<String> {
+    let line = |stretch: &LostStretch| {
+        format!("lost from {:.2} to {:.2} s: {}", stretch.from_s, stretch.to_s, because(stretch))
+    };
+    let more = stretches.len().saturating_sub(MAX_LOSSES);
+    let more = (more > 0).then(|| format!("and {more} more losses, which {elsewhere}"));
+    stretches.iter().take(MAX_LOSSES).map(line).chain(more).collect()
 }

@@ -2,17 +2,16 @@
 
 use super::{FormatName, SimulateArguments, y4m};
 use crate::files::{self, MadeFolders};
-use crate::interrupt;
-use indicatif::{ProgressBar, ProgressStyle};
-use jpeg_encoder::{ColorType, Encoder};
+use crate::{console, interrupt, numbered_pictures};
+use indicatif::ProgressBar;
 use odograph::camera::Camera;
 use odograph::error::{Error, Result};
 use odograph::image::{GrayImage, RgbImage};
-use odograph_video::{AviFormat, AviWriter};
+use odograph_video::{AviFormat, AviWriter, jpeg_from_gray, jpeg_from_rgb};
 use std::collections::BTreeMap;
 use std::fmt::Write as _;
 use std::fs;
-use std::io::{self, BufWriter, IsTerminal, Write};
+use std::io::{self, BufWriter, Write};
 use std::path::{Path, PathBuf};
 use std::sync::atomic::{AtomicUsize, Ordering};
 use std::sync::mpsc;
@@ -87,14 +86,8 @@ impl SimulationOutput {
             .threads
             .or_else(|| std::thread::available_parallelism().ok())
             .map_or(1, std::num::NonZeroUsize::get);
-        let bar = if arguments.quiet || !io::stderr().is_terminal() {
-            ProgressBar::hidden()
-        } else {
-            ProgressBar::new(frames as u64)
-        };
-        if let Ok(style) = ProgressStyle::with_template("{bar:40} {pos}/{len} frames, {eta} left") {
-            bar.set_style(style);
-        }
+        let bar = console::bar("{bar:40} {pos}/{len} frames, {eta} left", arguments.quiet);
+        bar.set_length(frames as u64);
         Ok(Self { folder, format, threads, bar, force: arguments.force, _made: made })
     }
 
@@ -141,42 +134,28 @@ impl SimulationOutput {
         let frames = self.folder.join("frames");
         let part = files::beside(&frames);
         let failed = |error| Error::not_written(frames.display(), error);
-        // What an interrupted run has left.
-        if part.exists() {
-            fs::remove_dir_all(&part).map_err(failed)?;
-        }
-        fs::create_dir(&part).map_err(failed)?;
+        numbered_pictures::begin(&part).map_err(failed)?;
         let encode = |frame: &Picture| match &frame.color {
             Some(color) => files::png_from_rgb(color),
             None => files::png_from_gray(&frame.gray),
         };
         let rendered = self.render(recording, encode, |number, bytes| {
-            fs::write(part.join(picture_name(number)), bytes).map_err(failed)
+            fs::write(part.join(numbered_pictures::name(number as u64)), bytes).map_err(failed)
         });
-        let placed = rendered.and_then(|()| self.place_pictures(&part, &frames).map_err(failed));
+        let place = || {
+            self.remove_old_recordings("frames")?;
+            numbered_pictures::place(&part, &frames)
+        };
+        let placed = rendered.and_then(|()| place().map_err(failed));
         if placed.is_err() {
             let _ = fs::remove_dir_all(&part);
         }
         placed?;
         let mut list = String::from("# time_s name\n");
         for (number, time_s) in recording.times_s().iter().enumerate() {
-            let _ = writeln!(list, "{time_s:.9} frames/{}", picture_name(number));
+            let _ = writeln!(list, "{time_s:.9} frames/{}", numbered_pictures::name(number as u64));
         }
         files::write(&self.folder.join("frames.txt"), list.as_bytes())
-    }
-
-    /// Brings the finished pictures from `part` to `frames`, in place of those of an earlier run.
-    fn place_pictures(&self, part: &Path, frames: &Path) -> io::Result<()> {
-        self.remove_old_recordings("frames")?;
-        if !frames.exists() {
-            return fs::rename(part, frames);
-        }
-        remove_pictures(frames)?;
-        for entry in fs::read_dir(part)? {
-            let entry = entry?;
-            fs::rename(entry.path(), frames.join(entry.file_name()))?;
-        }
-        fs::remove_dir(part)
     }
 
     fn write_y4m(&self, recording: &impl Recording) -> Result<()> {
@@ -243,14 +222,10 @@ impl SimulationOutput {
                 fs::remove_file(path)?;
             }
         }
-        let frames = self.folder.join("frames");
-        if keep == "frames" || !frames.is_dir() {
-            return Ok(());
+        match keep {
+            "frames" => Ok(()),
+            _ => numbered_pictures::remove(&self.folder.join("frames")),
         }
-        remove_pictures(&frames)?;
-        // May fail if other files are in it.
-        let _ = fs::remove_dir(&frames);
-        Ok(())
     }
 
     /// Renders and encodes all frames on the threads, and hands them to `sink` in order.
@@ -301,34 +276,10 @@ impl SimulationOutput {
 }
 
 fn jpeg(frame: &Picture) -> Result<Vec<u8>> {
-    let mut bytes = vec![];
-    let encoder = Encoder::new(&mut bytes, JPEG_QUALITY);
-    let (width, height) = (frame.gray.width() as u16, frame.gray.height() as u16);
-    let encoded = match &frame.color {
-        Some(color) => encoder.encode(color.samples(), width, height, ColorType::Rgb),
-        None => encoder.encode(frame.gray.samples(), width, height, ColorType::Luma),
-    };
-    encoded.map_err(|error| Error::output(format!("a {width}x{height} JPEG cannot be encoded: {error}")))?;
-    Ok(bytes)
-}
-
-fn picture_name(number: usize) -> String {
-    format!("{number:06}.png")
-}
-
-/// Removes the numbered pictures of a folder; other files stay.
-fn remove_pictures(folder: &Path) -> io::Result<()> {
-    for entry in fs::read_dir(folder)? {
-        let entry = entry?;
-        if is_picture_name(&entry.file_name().to_string_lossy()) {
-            fs::remove_file(entry.path())?;
-        }
+    match &frame.color {
+        Some(color) => jpeg_from_rgb(color, JPEG_QUALITY),
+        None => jpeg_from_gray(&frame.gray, JPEG_QUALITY),
     }
-    Ok(())
-}
-
-fn is_picture_name(name: &str) -> bool {
-    name.strip_suffix(".png").is_some_and(|stem| stem.len() >= 6 && stem.bytes().all(|b| b.is_ascii_digit()))
 }
 
 /// A frame rate as a fraction: over 1001 for television rates, otherwise in millionths, reduced.
@@ -360,13 +311,5 @@ mod tests {
         assert_eq!(fraction(29.97).unwrap(), (30000, 1001));
         assert_eq!(fraction(12.5).unwrap(), (25, 2));
         assert!(fraction(1e-9).is_err());
-    }
-
-    #[test]
-    fn only_our_own_pictures_are_ours() {
-        assert!(is_picture_name("000012.png") && is_picture_name("1000000.png"));
-        assert!(
-            !is_picture_name("holiday.png") && !is_picture_name("12.png") && !is_picture_name("000012.jpg")
-        );
     }
 }

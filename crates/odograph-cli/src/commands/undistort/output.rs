@@ -2,6 +2,7 @@
 
 use super::OutputFormat;
 use crate::files::{self, MadeFolders};
+use crate::numbered_pictures;
 use odograph::camera::Camera;
 use odograph::error::{Error, Result};
 use odograph::formats::camera_file;
@@ -79,12 +80,7 @@ impl UndistortedOutput {
         let begin = || -> io::Result<FrameWriter> {
             Ok(match format {
                 OutputFormat::Png => {
-                    let part = files::beside(&folder.join(PICTURES));
-                    // What a killed run has left.
-                    if part.exists() {
-                        fs::remove_dir_all(&part)?;
-                    }
-                    fs::create_dir(&part)?;
+                    numbered_pictures::begin(&files::beside(&folder.join(PICTURES)))?;
                     FrameWriter::Pictures
                 }
                 OutputFormat::Y4m => {
@@ -130,7 +126,7 @@ impl UndistortedOutput {
         let (failed, part) = (self.failed(), self.part());
         let written = match &mut self.frames {
             FrameWriter::Pictures => {
-                let name = format!("{:06}.png", frame.number);
+                let name = numbered_pictures::name(frame.number);
                 let _ = writeln!(self.list, "{:.9} {PICTURES}/{name}", frame.time_s);
                 fs::write(part.join(name), &frame.bytes)
             }
@@ -159,7 +155,7 @@ impl UndistortedOutput {
             _ => None,
         };
         let placed = match &mut self.frames {
-            FrameWriter::Pictures => place_pictures(&part, &place),
+            FrameWriter::Pictures => numbered_pictures::place(&part, &place),
             FrameWriter::Stream { file, begun } => {
                 finish_stream(file, *begun, rate).and_then(|()| fs::rename(&part, &place))
             }
@@ -179,41 +175,10 @@ impl UndistortedOutput {
         let (stream, pictures) = (self.folder.join(STREAM), self.folder.join(PICTURES));
         match self.frames {
             FrameWriter::Pictures if stream.is_file() => fs::remove_file(stream),
-            FrameWriter::Stream { .. } if pictures.is_dir() => {
-                remove_own_pictures(&pictures)?;
-                // May fail if other files are in it.
-                let _ = fs::remove_dir(&pictures);
-                Ok(())
-            }
-            _ => Ok(()),
+            FrameWriter::Pictures => Ok(()),
+            FrameWriter::Stream { .. } => numbered_pictures::remove(&pictures),
         }
     }
-}
-
-/// Brings finished pictures from `part` to `place`, instead of those of an earlier run; other files
-/// there stay.
-fn place_pictures(part: &Path, place: &Path) -> io::Result<()> {
-    if !place.exists() {
-        return fs::rename(part, place);
-    }
-    remove_own_pictures(place)?;
-    for entry in fs::read_dir(part)? {
-        let entry = entry?;
-        fs::rename(entry.path(), place.join(entry.file_name()))?;
-    }
-    fs::remove_dir(part)
-}
-
-fn remove_own_pictures(folder: &Path) -> io::Result<()> {
-    for entry in fs::read_dir(folder)? {
-        let entry = entry?;
-        let name = entry.file_name();
-        let stem = name.to_str().and_then(|name| name.strip_suffix(".png"));
-        if stem.is_some_and(|stem| stem.len() >= 6 && stem.bytes().all(|b| b.is_ascii_digit())) {
-            fs::remove_file(entry.path())?;
-        }
-    }
-    Ok(())
 }
 
 /// The line that a stream begins with. Its length does not depend on the frame rate, which is known

@@ -5,6 +5,7 @@ use odograph::error::{Error, Result};
 use odograph::geometry::GroundPose;
 use odograph::ground_map::MapKeyframe;
 use odograph::mosaic::{MapMosaic, Mosaic, MosaicSquare};
+use odograph::trajectory::LostStretch;
 use odograph_live::ground::GrowingTiles;
 use odograph_live::{GroundPicture, Mark, TiledGround, TrackRecord};
 use odograph_map::{MapFile, PathFrame, connected_stretches};
@@ -70,8 +71,10 @@ impl MapView {
                 name: session.source.rsplit(['/', '\\']).next().unwrap_or_default().to_owned(),
             });
             sources.push(session.source.clone());
-            let shift_s = begin_s - first.time_s;
-            records.extend(records_of(&stretches, &own, shift_s, segments));
+            let losses = file.losses_of(session.id)?;
+            let first_s = losses.first().map_or(first.time_s, |loss| loss.from_s.min(first.time_s));
+            let shift_s = begin_s - first_s;
+            records.extend(records_of(&stretches, &own, &losses, shift_s, segments));
             segments += frames.last().map_or(0, |last| last.segment) + 1;
         }
         let camera = &map.camera;
@@ -97,6 +100,7 @@ fn frame_of(keyframe: &MapKeyframe) -> PathFrame {
 fn records_of(
     stretches: &[&[PathFrame]],
     keyframes: &[&MapKeyframe],
+    losses: &[LostStretch],
     shift_s: f64,
     segments: usize,
 ) -> Vec<TrackRecord> {
@@ -127,18 +131,37 @@ fn records_of(
         values.iter_mut().zip(numbers).for_each(|(value, number)| *value = number as f32);
         TrackRecord { values }
     };
-    // The page draws no line over a record without a pose.
-    let lost = |before: &PathFrame, after: &PathFrame| {
-        let mut values = [f32::NAN; TrackRecord::LENGTH];
-        values[0] = (0.5 * (before.time_s + after.time_s) + shift_s) as f32;
-        TrackRecord { values }
-    };
     let mut records = Vec::new();
     let mut before: Option<&PathFrame> = None;
     for stretch in stretches {
-        records.extend(before.zip(stretch.first()).map(|(before, after)| lost(before, after)));
+        let between = (before.map(|frame| frame.time_s), stretch.first().map(|frame| frame.time_s));
+        records.extend(lost_between(between, losses, shift_s));
         records.extend(stretch.iter().enumerate().map(|(k, frame)| record(frame, speed(stretch, k))));
         before = stretch.last();
+    }
+    records.extend(lost_between((before.map(|frame| frame.time_s), None), losses, shift_s));
+    records
+}
+
+/// The records between two stretches, or at the end of a session, where its camera was lost: for
+/// each loss its first and last frame. The page draws no line over a record without a pose.
+fn lost_between(
+    (from_s, to_s): (Option<f64>, Option<f64>),
+    losses: &[LostStretch],
+    shift_s: f64,
+) -> Vec<TrackRecord> {
+    let is_between = |loss: &&LostStretch| {
+        from_s.is_none_or(|from_s| loss.from_s > from_s) && to_s.is_none_or(|to_s| loss.to_s <= to_s)
+    };
+    let ends = |loss: &LostStretch| {
+        let interval_s = (loss.to_s - loss.from_s) / loss.frames.max(1) as f64;
+        [loss.from_s, loss.to_s - interval_s]
+            .map(|time_s| TrackRecord::lost(time_s + shift_s, loss.reasons.first().copied()))
+    };
+    let mut records: Vec<TrackRecord> = losses.iter().filter(is_between).flat_map(ends).collect();
+    // An older map does not say why frames are missing.
+    if let (true, Some(from_s), Some(to_s)) = (records.is_empty(), from_s, to_s) {
+        records.push(TrackRecord::lost(0.5 * (from_s + to_s) + shift_s, None));
     }
     records
 }
@@ -187,6 +210,7 @@ const _: () = assert!(odograph::mosaic::MOSAIC_TILE_PX == Mosaic::TILE_SIDE_PX);
 #[cfg(test)]
 mod tests {
     use super::*;
+    use odograph::trajectory::LossReason;
 
     #[test]
     fn between_two_stretches_there_is_no_pose() {
@@ -200,12 +224,26 @@ mod tests {
             })
             .collect();
         let stretches: Vec<&[PathFrame]> = connected_stretches(&frames).collect();
-        let records = records_of(&stretches, &[], 5.0, 0);
+        let records = records_of(&stretches, &[], &[], 5.0, 0);
         let [time_s, x_m, speed_m_s] = [0, 1, 8].map(|field| records.iter().map(move |r| r.values[field]));
         assert_eq!(x_m.clone().map(f32::is_nan).collect::<Vec<_>>().iter().filter(|nan| **nan).count(), 1);
         assert!(x_m.clone().nth(10).is_some_and(f32::is_nan));
         assert!(time_s.clone().nth(10).is_some_and(|time_s| (time_s - 7.45).abs() < 1e-3));
         // No speed over the gap.
         assert!(speed_m_s.filter(|speed| !speed.is_nan()).all(|speed| (speed - 0.1).abs() < 1e-3));
+        // A map that says why has the first and the last lost frame of each loss, in order.
+        let loss = |from_s, to_s, frames, reason| LostStretch { from_s, to_s, frames, reasons: vec![reason] };
+        let losses = [loss(1.0, 4.0, 30, LossReason::Dark), loss(5.0, 5.2, 3, LossReason::Blur)];
+        let records = records_of(&stretches, &[], &losses, 5.0, 0);
+        let lost: Vec<[f32; 2]> = records
+            .iter()
+            .filter(|record| record.values[1].is_nan())
+            .map(|record| [record.values[0], record.values[9]])
+            .collect();
+        for (found, expected) in lost.iter().zip([[6.0, 4.0], [8.9, 4.0], [10.0, 5.0], [10.1333, 5.0]]) {
+            assert!((0..2).all(|i| (found[i] - expected[i]).abs() < 1e-3), "{lost:?}");
+        }
+        assert_eq!(lost.len(), 4);
+        assert!(records.windows(2).all(|pair| pair[0].values[0] < pair[1].values[0]));
     }
 }

@@ -92,6 +92,37 @@ fn a_full_disk_costs_the_overlay_video_and_nothing_else() {
     assert_whole(&place.path("out"));
 }
 
+#[test]
+#[cfg(unix)]
+fn everything_that_a_full_disk_costs_is_named_and_nothing_stale_is_left() {
+    if !Path::new("/dev/full").exists() {
+        println!("skipped: dev-full: there is no /dev/full");
+        return;
+    }
+    let place = HostileFolder::new();
+    fs::write(place.path("drive.y4m"), y4m(20)).unwrap();
+    assert!(place.run_usual("drive.y4m").status.success());
+    let lost = ["map.png", "mosaic.png", "odometry.tum"];
+    for name in lost {
+        std::os::unix::fs::symlink("/dev/full", place.path(&format!("out/{name}.part"))).unwrap();
+    }
+    let done = place.run("drive.y4m --camera camera.yaml --height 1 -o out --force");
+    let told = String::from_utf8(done.stderr).unwrap();
+    assert_eq!(done.status.code(), Some(3), "{told}");
+    for name in lost {
+        let there_is_no = format!("out/{name} cannot be written: No space left on device");
+        assert_eq!(told.matches(&there_is_no).count(), 1, "{name}: {told}");
+    }
+    let kept: Vec<&str> = FILES.into_iter().filter(|name| !lost.contains(name)).collect();
+    assert_eq!(names(&place.path("out")), kept);
+    let statistics: serde_json::Value = serde_json::from_slice(&place.result("out", "stats.json")).unwrap();
+    for name in lost {
+        assert!(statistics["warnings"].to_string().contains(name), "{statistics}");
+    }
+    let report = String::from_utf8(place.result("out", "report.html")).unwrap();
+    assert!(report.contains("map.svg") && !report.contains("href=\"map.png\""));
+}
+
 /// `/dev/full` takes the place of each file in turn.
 #[test]
 #[cfg(unix)]
@@ -123,6 +154,13 @@ fn a_full_disk() {
         let left = names(&out);
         let halves: Vec<&String> = left.iter().filter(|left| left.ends_with(".part")).collect();
         assert_eq!(halves, stay, "{name}");
+        // Without the path there is nothing else; what is made from it is written without the
+        // others.
+        let made_from_path = !["trajectory.csv", "trajectory.tum", "run.toml"].contains(&name);
+        for other in FILES.into_iter().filter(|other| made_from_path && *other != name) {
+            let goes_with = other.starts_with("carrier") || other.starts_with("trajectory-smoothed");
+            assert!(left.iter().any(|left| left == other) || goes_with, "{other} without {name}");
+        }
         if let Some(grown) = stay.first() {
             // The header and one line for each of the forty frames.
             assert_eq!(fs::read_to_string(out.join(grown)).unwrap().lines().count(), 41);
@@ -151,12 +189,18 @@ fn a_full_file_system() {
     let done = place.run("drive.y4m --camera camera.yaml --height 1 -o small/out");
     let left = if mounted.join("out").exists() { names(&mounted.join("out")) } else { Vec::new() };
     drop(small);
-    assert_refused(&done, 3, "cannot be written", "a file system of 20 KiB");
+    let told = String::from_utf8(done.stderr).unwrap();
+    assert_eq!(done.status.code(), Some(3), "{told}");
+    // One line for each file that is missing.
+    assert!(
+        told.lines().count() > 0 && told.lines().all(|line| line.contains("cannot be written")),
+        "{told}"
+    );
     assert!(left.iter().all(|name| !name.ends_with(".part")), "{left:?}");
 }
 
 #[test]
-fn the_reason_of_a_loss_is_printed() {
+fn the_reason_of_a_loss_is_printed_and_is_in_the_map() {
     let place = HostileFolder::new();
     let mut video = y4m(60);
     let frames: Vec<usize> =
@@ -169,8 +213,25 @@ fn the_reason_of_a_loss_is_printed() {
     fs::write(place.path("drive.y4m"), video).unwrap();
     let done = place.run("drive.y4m --camera camera.yaml --height 1 --motion rigid -o out");
     let message = String::from_utf8_lossy(&done.stderr).into_owned();
-    let note = message.lines().find(|line| line.starts_with("note: lost from "));
-    assert!(note.is_some_and(|note| note.contains("too dark to see anything")), "{message}");
+    let note = message.lines().find_map(|line| line.strip_prefix("note: "));
+    let note = note.filter(|note| note.starts_with("lost from ")).unwrap_or_else(|| panic!("{message}"));
+    assert!(note.contains("too dark to see anything"), "{message}");
+    // The map says the same, and so does what is saved of it.
+    let map = |arguments: &str| {
+        let mut command = Command::new(env!("CARGO_BIN_EXE_odograph"));
+        command.current_dir(place.path("")).arg("map").args(arguments.split(' '));
+        String::from_utf8(command.output().unwrap().stdout).unwrap()
+    };
+    map("repair out/map.gpkg -o repaired.gpkg");
+    for file in ["out/map.gpkg", "repaired.gpkg"] {
+        let shown = map(&format!("info {file} --check"));
+        assert!(shown.lines().any(|line| line.trim() == note), "{file}: {shown}");
+    }
+    let facts: serde_json::Value = serde_json::from_str(&map("info out/map.gpkg --json")).unwrap();
+    let loss = &facts["sessions"][0]["losses"][0];
+    assert_eq!((loss["frames"].as_u64(), loss["reasons"][0].as_str()), (Some(15), Some("dark")), "{loss}");
+    let [start_s, end_s] = ["start_s", "end_s"].map(|name| loss[name].as_f64().unwrap());
+    assert!((start_s - 1.0).abs() < 1e-6 && (end_s - 1.5).abs() < 0.2, "{loss}");
 }
 
 #[test]

@@ -1,12 +1,11 @@
 use super::*;
-use jpeg_encoder::{ColorType, Encoder};
+use odograph::image::GrayImage;
+use odograph_video::jpeg_from_gray;
 use std::net::TcpListener;
 use std::thread;
 
 fn jpeg(shade: u8) -> Vec<u8> {
-    let mut bytes = Vec::new();
-    Encoder::new(&mut bytes, 90).encode(&[shade; 32 * 16], 32, 16, ColorType::Luma).unwrap();
-    bytes
+    jpeg_from_gray(&GrayImage::from_samples(32, 16, vec![shade; 32 * 16]).unwrap(), 90).unwrap()
 }
 
 fn part(body: &[u8]) -> Vec<u8> {

@@ -77,9 +77,7 @@ pub fn print_summary(
                 },
             })
             .collect();
-        let text = serde_json::to_string_pretty(&shown)
-            .map_err(|error| Error::output(format!("the statistics cannot be written as JSON: {error}")))?;
-        return console::print(&(text + "\n"));
+        return console::print_json("the statistics", &shown);
     }
     if arguments.output.quiet {
         return Ok(());

@@ -3,7 +3,7 @@
 use super::super::{ConsoleObserver, RunArguments};
 use super::ending::End;
 use crate::{console, interrupt};
-use indicatif::{ProgressBar, ProgressStyle};
+use indicatif::ProgressBar;
 use odograph::error::{Error, Result};
 use odograph_session::batch::{Attempt, Batch, Next, Recording, Turn};
 use odograph_session::{RunBuilder, RunOutcome};
@@ -72,7 +72,7 @@ impl Work<'_> {
         let shared = Shared {
             queue: Mutex::new(queue),
             ends,
-            bar: self.bar(),
+            bar: console::bar("{bar:30} {msg}", self.arguments.output.quiet),
             waits: AtomicBool::new(false),
             shown: Mutex::default(),
         };
@@ -181,18 +181,6 @@ impl Work<'_> {
     fn run_of(&self, recording: &Recording, attempt: &Attempt, threads: usize) -> Result<RunBuilder> {
         let run = self.arguments.builder(&recording.source, &self.batch.part_folder(attempt))?;
         Ok(run.threads(threads).overwriting(true))
-    }
-
-    /// A bar on a terminal.
-    fn bar(&self) -> ProgressBar {
-        if self.arguments.output.quiet {
-            return ProgressBar::hidden();
-        }
-        let bar = ProgressBar::new(0);
-        if let Ok(style) = ProgressStyle::with_template("{bar:30} {msg}") {
-            bar.set_style(style);
-        }
-        bar
     }
 
     /// Shows how far all workers are: in the bar, or in lines where several calls share the work.
