@@ -260,17 +260,15 @@ impl RunPlan {
     }
 
     /// Uses the camera of a continued map where it is the plan's with a lens that an earlier run
-    /// estimated. Such a run keeps the focal length to the bit, and no two calibrations agree in
-    /// that.
+    /// estimated.
     pub(crate) fn take_lens_of(&mut self, map: Option<&Path>) -> Result<()> {
         let Some(map) = map.filter(|map| MapFile::is_there(map)) else { return Ok(()) };
-        let key = |camera: &Camera| (camera.width(), camera.height(), camera.focal_px().0);
         let cameras = MapFile::open_read_only(map)?.mounted_cameras()?;
         let global = self.camera.clone().with_readout_s(None)?;
         if cameras.iter().any(|mounted| mounted.camera == global) {
             return Ok(());
         }
-        let found = cameras.into_iter().find(|mounted| key(&mounted.camera) == key(&self.camera));
+        let found = cameras.into_iter().find(|mounted| self.camera.differs_by_estimate(&mounted.camera));
         if let Some(found) = found.map(|mounted| mounted.camera) {
             let deviation_s = self.camera.readout_deviation_s();
             self.camera =

@@ -249,10 +249,10 @@ impl<'a> GivenCamera<'a> {
         let map = builder.output.map.path().filter(|map| MapFile::is_there(map));
         let is_same = |mounted: &MountedCamera| match self {
             Self::Map(map) => mounted.camera == map.mounted.camera,
-            Self::Known(camera) => has_same_lens(camera, &mounted.camera),
+            Self::Known(camera) => camera.differs_by_estimate(&mounted.camera),
             Self::File(path, text) => {
                 let size = (mounted.camera.width(), mounted.camera.height());
-                parse_camera(path, text, size).is_ok_and(|camera| has_same_lens(&camera, &mounted.camera))
+                parse_camera(path, text, size).is_ok_and(|camera| camera.differs_by_estimate(&mounted.camera))
             }
             Self::Field(_) | Self::Recording(_) => false,
         };
@@ -327,13 +327,6 @@ impl<'a> GivenCamera<'a> {
             }
         }
     }
-}
-
-/// Whether two cameras differ in nothing but their readout time, which a map does not have, and in
-/// a lens that was estimated.
-fn has_same_lens(one: &Camera, other: &Camera) -> bool {
-    let key = |camera: &Camera| (camera.width(), camera.height(), camera.focal_px().0);
-    key(one) == key(other)
 }
 
 /// Tells that what a height alone does not say of a mount is as in the map.

@@ -225,6 +225,16 @@ impl Camera {
         self.height
     }
 
+    /// Whether one of two cameras may be the other with a lens that was estimated while driving.
+    /// Such an estimate keeps size and geometric mean of the focal lengths, and no two calibrations
+    /// agree in that.
+    pub fn differs_by_estimate(&self, other: &Self) -> bool {
+        const ROUNDING: f64 = 1e-9;
+        let [own, others] = [self, other].map(|camera| camera.focal_px().0 * camera.focal_px().1);
+        (self.width(), self.height()) == (other.width(), other.height())
+            && (own / others - 1.0).abs() < ROUNDING
+    }
+
     /// Focal lengths (fx, fy) in pixels.
     pub fn focal_px(&self) -> (f64, f64) {
         (self.fx, self.fy)

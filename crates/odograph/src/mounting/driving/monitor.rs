@@ -187,13 +187,13 @@ impl CalibrationMonitor {
         let (tilt, lens) = self.measured()?;
         let (used, explains) = (&self.in_use, self.driven.explains(&tilt));
         let lens = lens.filter(|_| explains);
-        // What the motion leaves open between tilt and lens is in both estimates.
-        let goes_with_lens =
-            lens.is_some() && self.off(&tilt).norm() >= MIN_TILT_RAD && self.is_steady(&tilt);
-        let tilt = Some(tilt).filter(|tilt| {
-            goes_with_lens
-                || explains && self.differs_significantly(tilt)
-                || used.tilt.as_ref().is_some_and(|used| agrees(tilt, used))
+        let tilt = Some(tilt).filter(|tilt| match lens {
+            // What the motion leaves open between tilt and lens is in both estimates.
+            Some(_) => self.off(tilt).norm() >= MIN_TILT_RAD && self.is_steady(tilt),
+            None => {
+                explains && self.differs_significantly(tilt)
+                    || used.tilt.as_ref().is_some_and(|used| agrees(tilt, used))
+            }
         });
         let found = CalibrationUpdate { tilt, lens, pairs: self.driven.pairs() };
         self.replaces(&found).then_some(found)
