@@ -38,6 +38,8 @@ pub struct CalibrationUpdate {
     pub lens: Option<LensMeasurement>,
     /// Number of pairs of views behind it.
     pub pairs: usize,
+    /// Whether these pairs were followed with an estimate of the lens.
+    pub is_second: bool,
 }
 
 impl CalibrationUpdate {
@@ -169,7 +171,8 @@ impl CalibrationMonitor {
     /// recording is cheap to track again.
     pub fn at_end(&self) -> Option<CalibrationUpdate> {
         // Tracks that were followed with a very wrong lens are off themselves.
-        let is_rough = self.in_use.lens.as_ref().is_some_and(|lens| lens.off_px > ROUGH_PX);
+        let is_off = self.in_use.lens.as_ref().is_some_and(|lens| lens.off_px > ROUGH_PX);
+        let is_rough = is_off && !self.in_use.is_second;
         let least = match self.in_use.pairs {
             0 => FIRST_CHECK,
             pairs if is_rough => pairs,
@@ -195,7 +198,8 @@ impl CalibrationMonitor {
                     || used.tilt.as_ref().is_some_and(|used| agrees(tilt, used))
             }
         });
-        let found = CalibrationUpdate { tilt, lens, pairs: self.driven.pairs() };
+        let (pairs, is_second) = (self.driven.pairs(), used.lens.is_some());
+        let found = CalibrationUpdate { tilt, lens, pairs, is_second };
         self.replaces(&found).then_some(found)
     }
 
