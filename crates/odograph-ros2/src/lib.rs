@@ -9,7 +9,8 @@
 //! recording are, and made by `odograph-session`, as those of a bag are: here they are bytes.
 //!
 //! ```no_run
-//! use odograph_ros2::{ImageOptions, Images, Node, PublisherOptions, RunPublisher, Services, TopicName};
+//! use odograph_ros2::{ImageOptions, Images, Node, PublisherOptions};
+//! use odograph_ros2::{RunPublisher, Services, TopicName};
 //! use odograph_session::RunBuilder;
 //! use odograph_session::live::{LiveInput, LiveOptions};
 //! use odograph_live::capture::Policy;
@@ -26,7 +27,8 @@
 //!     link = Some(source.link());
 //!     Ok(LiveInput { source: Box::new(source), policy: Policy::NewestWins })
 //! })?;
-//! let mut publisher = RunPublisher::new(&node, &PublisherOptions::default(), link, services, &run)?;
+//! let options = PublisherOptions::default();
+//! let mut publisher = RunPublisher::new(&node, &options, link, services, &run)?;
 //! run.follow(Some(&mut publisher), &())?;
 //! # Ok::<(), odograph::error::Error>(())
 //! ```

@@ -137,7 +137,10 @@ impl LensMeasurement {
                 None => seen.by_pose[(row, 4 + k)],
             }));
         }
-        let mean = shifts.iter().sum::<DMatrix<f64>>() / shifts.len().max(1) as f64;
+        if shifts.is_empty() {
+            return None;
+        }
+        let mean = shifts.iter().sum::<DMatrix<f64>>() / shifts.len() as f64;
         let most = |variance: &DMatrix<f64>| {
             shifts.iter().map(|by| spread(&(by - &mean), variance)).fold(0.0, f64::max)
         };
